@@ -1,0 +1,1 @@
+//! Light after several reflections: gather at the surfels, update their radiosity, again. PBGI §8.3.

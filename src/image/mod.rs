@@ -1,0 +1,1 @@
+//! Pixels from files: textures with mip levels, and latlong environments.

@@ -1,0 +1,1 @@
+//! Low-discrepancy point sets and their mapping to directions.

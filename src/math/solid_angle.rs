@@ -1,0 +1,1 @@
+//! Solid angles and form factors in closed form.

@@ -1,0 +1,1 @@
+//! run(Job): the steps in order; the only module that knows them all.

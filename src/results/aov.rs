@@ -1,0 +1,180 @@
+//! The AOVs: names, types, formats.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// Type of one AOV value on disk and in USD.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ValueType {
+    /// One float; EXR channel `NAME.Y` (`depth.Z`), USD `float[]`.
+    Float,
+    /// Linear color; EXR `NAME.R/G/B`, USD `color3f[]`.
+    Color,
+    /// Color with alpha; EXR bare `R G B A`.
+    ColorAlpha,
+    /// Unit direction; EXR `NAME.X/Y/Z`, USD `normal3f[]`.
+    Normal,
+    /// Position; EXR `NAME.X/Y/Z`, USD `point3f[]`.
+    Point,
+    /// Unsigned id; EXR `NAME.id` (uint), USD `int[]`.
+    Id,
+}
+
+macro_rules! aovs {
+    ($($(#[doc = $doc:literal])* $variant:ident, $name:literal, $value:ident;)*) => {
+        /// A result of a run; the same name on disk, as primvar and on the command line.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub enum Aov { $($(#[doc = $doc])* $variant,)* }
+
+        impl Aov {
+            /// All AOVs.
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
+
+            /// The name used everywhere.
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name,)* }
+            }
+
+            /// Type of its values.
+            pub fn value_type(self) -> ValueType {
+                match self { $(Self::$variant => ValueType::$value,)* }
+            }
+        }
+    };
+}
+
+aovs! {
+    /// Cosine-weighted fraction of the hemisphere that is covered, 0…1. PBGI §8.5.
+    Occlusion, "occlusion", Float;
+    /// 1 − occlusion.
+    Visibility, "visibility", Float;
+    /// Irradiance straight from lights and emissive surfaces, radiance·sr.
+    IrradianceDirect, "irradiance_direct", Color;
+    /// Irradiance from dome lights, unblocked directions only. PBGI §8.2.
+    IrradianceEnvironment, "irradiance_environment", Color;
+    /// Irradiance of light of every source after 1…`--bounces` reflections. PBGI §6, §8.3.
+    IrradianceIndirect, "irradiance_indirect", Color;
+    /// Sum of the three.
+    Irradiance, "irradiance", Color;
+    /// albedo/π · (direct + environment irradiance): outgoing radiance.
+    DiffuseDirect, "diffuse_direct", Color;
+    /// albedo/π · indirect irradiance.
+    DiffuseIndirect, "diffuse_indirect", Color;
+    /// Diffuse albedo.
+    DiffuseAlbedo, "diffuse_albedo", Color;
+    /// Emitted radiance of the surface itself.
+    Emission, "emission", Color;
+    /// Beauty: everything that makes light; alpha = coverage.
+    Color, "color", ColorAlpha;
+    /// Average unoccluded direction, unit. PBGI §8.7.
+    BentNormal, "bent_normal", Normal;
+    /// Shading normal.
+    Normal, "N", Normal;
+    /// World position.
+    Position, "P", Point;
+    /// Distance along the viewing axis, stage units (images only).
+    Depth, "depth", Float;
+    /// Index of the prim; −1 where there is none.
+    PrimId, "primId", Id;
+}
+
+impl Aov {
+    /// Floats a value: 1, 3 or 4.
+    pub fn components(self) -> usize {
+        match self.value_type() {
+            ValueType::Float | ValueType::Id => 1,
+            ValueType::Color | ValueType::Normal | ValueType::Point => 3,
+            ValueType::ColorAlpha => 4,
+        }
+    }
+
+    /// True if computing it needs direct light at the receivers.
+    pub fn needs_direct(self) -> bool {
+        matches!(
+            self,
+            Self::IrradianceDirect | Self::Irradiance | Self::DiffuseDirect | Self::Color
+        )
+    }
+
+    /// True if computing it needs the environment's light at the receivers.
+    pub fn needs_environment(self) -> bool {
+        matches!(
+            self,
+            Self::IrradianceEnvironment | Self::Irradiance | Self::DiffuseDirect | Self::Color
+        )
+    }
+
+    /// True if computing it needs surfels with radiosity.
+    pub fn needs_indirect(self) -> bool {
+        matches!(
+            self,
+            Self::IrradianceIndirect | Self::Irradiance | Self::DiffuseIndirect | Self::Color
+        )
+    }
+
+    /// True if it needs the hemisphere above the receiver at all.
+    pub fn needs_hemisphere(self) -> bool {
+        matches!(self, Self::Occlusion | Self::Visibility | Self::BentNormal)
+            || self.needs_direct()
+            || self.needs_environment()
+            || self.needs_indirect()
+    }
+
+    /// True if it needs the receiver's material (albedo or emission).
+    pub fn needs_material(self) -> bool {
+        matches!(
+            self,
+            Self::DiffuseDirect
+                | Self::DiffuseIndirect
+                | Self::DiffuseAlbedo
+                | Self::Emission
+                | Self::Color
+        )
+    }
+}
+
+impl fmt::Display for Aov {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// No AOV has this name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no AOV is called {name:?}; there are: {known}")]
+pub struct UnknownAov {
+    name: String,
+    known: String,
+}
+
+impl FromStr for Aov {
+    type Err = UnknownAov;
+
+    fn from_str(name: &str) -> Result<Self, UnknownAov> {
+        Self::ALL
+            .iter()
+            .copied()
+            .find(|aov| aov.name() == name)
+            .ok_or_else(|| UnknownAov {
+                name: name.to_owned(),
+                known: Self::ALL
+                    .iter()
+                    .map(|aov| aov.name())
+                    .collect::<Vec<_>>()
+                    .join(" "),
+            })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_round_trip() {
+        for aov in Aov::ALL {
+            assert_eq!(aov.name().parse::<Aov>().unwrap(), *aov);
+        }
+        assert!("Occlusion".parse::<Aov>().is_err());
+    }
+}

@@ -1,0 +1,81 @@
+//! What a gather delivers: one buffer an AOV, one value a receiver, and where the values go.
+
+pub mod aov;
+
+pub use aov::{Aov, ValueType};
+
+use crate::scene::PrimId;
+
+/// Values of one AOV, one a receiver, `components` floats each, in receiver order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AovBuffer {
+    /// Which AOV.
+    pub aov: Aov,
+    /// `receiver_count * aov.components()` finite values.
+    pub data: Vec<f32>,
+}
+
+/// All AOVs of a run.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Results {
+    /// In the order asked for.
+    pub buffers: Vec<AovBuffer>,
+}
+
+impl Results {
+    /// The buffer of `aov`, if it was computed.
+    pub fn get(&self, aov: Aov) -> Option<&AovBuffer> {
+        self.buffers.iter().find(|buffer| buffer.aov == aov)
+    }
+}
+
+/// Interpolation of a baked primvar on the authored mesh.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum BakeInterpolation {
+    /// One value a point of the cage.
+    #[default]
+    Vertex,
+    /// One value a face-vertex of the cage.
+    FaceVarying,
+}
+
+/// Values of one prim within the receivers' order.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PrimvarSpan {
+    /// The prim.
+    pub prim: PrimId,
+    /// Layout on the prim.
+    pub interpolation: BakeInterpolation,
+    /// For each point (or face-vertex) of the prim's cage, the receiver that holds its value (several face-vertices
+    /// may share one). Length = point count or face-vertex count.
+    pub receiver_of_value: Vec<u32>,
+}
+
+/// One receiver's share in one pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PixelShare {
+    /// Pixel index, `y * width + x`, rows from the top.
+    pub pixel: u32,
+    /// Receiver index.
+    pub receiver: u32,
+    /// Share of the pixel's samples that this receiver stands for, 0…1. The shares of a pixel sum to its coverage.
+    pub weight: f32,
+}
+
+/// Where the values of a run go.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Target {
+    /// An image.
+    Image {
+        /// Pixels across.
+        width: u32,
+        /// Pixels down.
+        height: u32,
+        /// Sorted by pixel; pixels that see nothing have no entry.
+        shares: Vec<PixelShare>,
+    },
+    /// Primvars on meshes.
+    Primvars(Vec<PrimvarSpan>),
+    /// One value a surfel of a cloud, in its order.
+    Surfels,
+}

@@ -1,0 +1,81 @@
+//! UsdLux lights.
+
+use glam::{Affine3A, Vec3};
+use std::path::PathBuf;
+
+/// `ShapingAPI`: a cone about the light's −Z axis, and a focus falloff.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shaping {
+    /// `shaping:cone:angle`, radians from the axis; π or more = no cone.
+    pub cone_angle: f32,
+    /// `shaping:cone:softness`, 0 hard … 1 soft over the whole cone.
+    pub cone_softness: f32,
+    /// `shaping:focus` exponent on the cosine to the axis, 0 = none.
+    pub focus: f32,
+    /// `shaping:focusTint`, linear.
+    pub focus_tint: Vec3,
+}
+
+/// Shape of a light in its own space; emission is towards −Z for rect, disk and distant lights.
+#[derive(Debug, Clone, PartialEq)]
+pub enum LightKind {
+    /// Parallel light from a disk in the sky of `angle` radians across; 0 = perfectly sharp.
+    Distant {
+        /// Angular diameter, radians.
+        angle: f32,
+    },
+    /// A sphere; `treat_as_point` = no shape, sharp shadows.
+    Sphere {
+        /// Radius, light space.
+        radius: f32,
+        /// `treatAsPoint`.
+        treat_as_point: bool,
+    },
+    /// A rectangle in the XY plane, one-sided, radiance from a texture if one is given.
+    Rect {
+        /// Size along X, light space.
+        width: f32,
+        /// Size along Y, light space.
+        height: f32,
+        /// `inputs:texture:file`, resolved.
+        texture: Option<PathBuf>,
+    },
+    /// A disk in the XY plane, one-sided.
+    Disk {
+        /// Radius, light space.
+        radius: f32,
+    },
+    /// A tube along X, without caps.
+    Cylinder {
+        /// Radius, light space.
+        radius: f32,
+        /// Length along X, light space.
+        length: f32,
+    },
+    /// The sky. Latlong images: USD's orientation (see `lighting`).
+    Dome {
+        /// `inputs:texture:file`, resolved; `None` = uniform.
+        texture: Option<PathBuf>,
+    },
+}
+
+/// A light. Intensity inputs are already multiplied out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Light {
+    /// Stage path.
+    pub path: String,
+    /// Shape.
+    pub kind: LightKind,
+    /// `intensity · 2^exposure · color · (color of temperature) · diffuse`, linear Rec.709, *before* `normalize`.
+    /// Radiance of area and dome lights; radiance of the sun's disk for distant lights.
+    pub radiance: Vec3,
+    /// `normalize`: power does not depend on size (divide by the world-space area, or by the angular measure of a
+    /// distant light).
+    pub normalize: bool,
+    /// To world space relative to the scene's origin (directions only for distant and dome lights).
+    pub world_from_light: Affine3A,
+    /// Cone and focus, if applied.
+    pub shaping: Option<Shaping>,
+    /// `shadow:enable`, default true.
+    pub casts_shadows: bool,
+}

@@ -1,0 +1,144 @@
+//! USD → [`crate::scene::Scene`]: two doors (native `openusd`; a worker process with Pixar's usd-core) behind one
+//! [`raw::RawStage`] of composed prims and resolved values, then the same passes for both.
+
+pub mod cloud;
+pub mod native;
+pub mod passes;
+pub mod raw;
+pub mod worker;
+
+use crate::diagnostics::{Cancelled, Diagnostics};
+use crate::scene::Scene;
+use raw::{RawStage, Request};
+use std::path::{Path, PathBuf};
+
+/// Which door to read through.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Door {
+    /// usd-core when an interpreter that can import `pxr` is found, else native.
+    #[default]
+    Auto,
+    /// The `openusd` crate, no Python.
+    Native,
+    /// Pixar's usd-core in a Python process.
+    UsdCore,
+}
+
+/// Why a stage could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The root layer does not exist or is not readable.
+    #[error("cannot read {path}")]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// A layer cannot be parsed or composed.
+    #[error("{path}: {message}")]
+    Layer {
+        /// The root layer or the layer at fault.
+        path: PathBuf,
+        /// What is wrong and, for the native door, which other door may read it.
+        message: String,
+    },
+    /// A mesh's arrays contradict each other.
+    #[error("mesh {prim}: {message}")]
+    Mesh {
+        /// Prim path.
+        prim: String,
+        /// What is wrong, and what would have been right.
+        message: String,
+    },
+    /// The usd-core worker could not be started, failed or died.
+    #[error("usd-core worker ({interpreter}): {message}")]
+    Worker {
+        /// The Python interpreter.
+        interpreter: String,
+        /// What happened, with the end of its stderr.
+        message: String,
+    },
+    /// The user cancelled.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// An open stage that can be read at several time codes.
+pub trait Source: std::fmt::Debug {
+    /// Composed prims and resolved values at `request.time`; only what the request asks for.
+    ///
+    /// # Errors
+    /// Any composition error the door meets (a missing payload, a bad reference): never a smaller stage in silence,
+    /// unless usd-core too would go on with a warning — then it is a warning.
+    fn load(&mut self, request: &Request, diagnostics: &Diagnostics) -> Result<RawStage, Error>;
+
+    /// `native` or `usd-core`.
+    fn name(&self) -> &'static str;
+}
+
+/// Open the stage at `path` through `door`.
+///
+/// # Errors
+/// When the root layer is missing or unreadable, or the worker asked for cannot be started.
+pub fn open(path: &Path, door: Door, diagnostics: &Diagnostics) -> Result<Box<dyn Source>, Error> {
+    match door {
+        Door::Native => Ok(Box::new(native::NativeSource::open(path)?)),
+        Door::UsdCore => Ok(Box::new(worker::WorkerSource::open(path)?)),
+        Door::Auto => match worker::WorkerSource::available() {
+            true => Ok(Box::new(worker::WorkerSource::open(path)?)),
+            false => {
+                log::info!(
+                    "no Python with usd-core found: reading {} natively",
+                    path.display()
+                );
+                let _ = diagnostics;
+                Ok(Box::new(native::NativeSource::open(path)?))
+            }
+        },
+    }
+}
+
+/// What a job needs of a stage; everything else is neither read nor resolved.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReadSettings {
+    /// Time code; `None` = the default time.
+    pub time: Option<f64>,
+    /// Purposes to include besides `default`.
+    pub purposes: Vec<crate::scene::Purpose>,
+    /// Only these prims and what is below them (and their ancestors); empty = everything.
+    pub mask: Vec<String>,
+    /// Materials, displayColor and the primvars they read.
+    pub materials: bool,
+    /// Lights.
+    pub lights: bool,
+    /// Longest edge a refined subdivision face should have, stage units; `None` = chosen from the scene's size.
+    pub refine_edge: Option<f32>,
+}
+
+impl Default for ReadSettings {
+    fn default() -> Self {
+        Self {
+            time: None,
+            purposes: vec![crate::scene::Purpose::Render],
+            mask: Vec::new(),
+            materials: true,
+            lights: true,
+            refine_edge: None,
+        }
+    }
+}
+
+/// Read `source` at `settings.time` into a [`Scene`].
+///
+/// # Errors
+/// Whatever [`Source::load`] reports, and meshes whose topology is invalid.
+pub fn read(
+    source: &mut dyn Source,
+    settings: &ReadSettings,
+    diagnostics: &Diagnostics,
+) -> Result<Scene, Error> {
+    let raw = source.load(&Request::for_settings(settings), diagnostics)?;
+    passes::scene(&raw, settings, diagnostics)
+}

@@ -1,0 +1,1 @@
+//! Meshes, implicit gprims and instancers → shared meshes and prims.

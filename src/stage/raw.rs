@@ -1,0 +1,278 @@
+//! What both doors deliver: composed prims with authored, value-resolved attributes. No schema knowledge here:
+//! fallbacks, inheritance and meaning are the passes' business, once for both doors.
+
+use super::ReadSettings;
+use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
+use std::collections::BTreeMap;
+
+/// What to load.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Request {
+    /// Time code; `None` = default time (with the fallback to the first sample that USD's default time has: none).
+    pub time: Option<f64>,
+    /// Population mask paths; empty = everything.
+    pub mask: Vec<String>,
+    /// Attribute names wanted. A trailing `*` matches any rest.
+    pub attributes: Vec<String>,
+    /// Attributes whose names match one of these are listed (name, type, connections, metadata) but their values
+    /// are not read: used for what must be *named* in warnings and `info` without reading arrays.
+    pub values_not_needed: Vec<String>,
+}
+
+impl Request {
+    /// The attributes that `settings` can make use of.
+    pub fn for_settings(settings: &ReadSettings) -> Self {
+        let mut attributes: Vec<&str> = vec![
+            // Imageable, Xformable
+            "visibility",
+            "purpose",
+            "xformOpOrder",
+            "xformOp:*",
+            "extent",
+            // Mesh and other PointBased
+            "points",
+            "normals",
+            "faceVertexCounts",
+            "faceVertexIndices",
+            "holeIndices",
+            "orientation",
+            "doubleSided",
+            "subdivisionScheme",
+            "interpolateBoundary",
+            "faceVaryingLinearInterpolation",
+            "triangleSubdivisionRule",
+            "cornerIndices",
+            "cornerSharpnesses",
+            "creaseIndices",
+            "creaseLengths",
+            "creaseSharpnesses",
+            "primvars:normals",
+            // implicit gprims
+            "size",
+            "radius",
+            "radiusTop",
+            "radiusBottom",
+            "height",
+            "axis",
+            "width",
+            "length",
+            // PointInstancer
+            "protoIndices",
+            "positions",
+            "orientations",
+            "orientationsf",
+            "scales",
+            "ids",
+            "invisibleIds",
+            // Camera
+            "projection",
+            "horizontalAperture",
+            "verticalAperture",
+            "horizontalApertureOffset",
+            "verticalApertureOffset",
+            "focalLength",
+            "clippingRange",
+            "exposure",
+            // UsdRender
+            "resolution",
+            "pixelAspectRatio",
+            "aspectRatioConformPolicy",
+            "dataWindowNDC",
+            "includedPurposes",
+            "materialBindingPurposes",
+            "productName",
+            "productType",
+            "sourceName",
+            "sourceType",
+            "dataType",
+            "driver:parameters:aov:*",
+            // GeomSubset
+            "elementType",
+            "familyName",
+            "indices",
+            "subsetFamily:*",
+        ];
+        if settings.materials {
+            attributes.extend([
+                "inputs:*",
+                "outputs:*",
+                "info:*",
+                "primvars:*",
+                "collection:*",
+            ]);
+        }
+        if settings.lights {
+            attributes.extend([
+                "inputs:*",
+                "intensity",
+                "color",
+                "collection:*",
+                "treatAsPoint",
+                "treatAsLine",
+            ]);
+        }
+        Self {
+            time: settings.time,
+            mask: settings.mask.clone(),
+            attributes: attributes.into_iter().map(str::to_owned).collect(),
+            values_not_needed: Vec::new(),
+        }
+    }
+
+    /// True if attribute `name` is wanted.
+    pub fn wants(&self, name: &str) -> bool {
+        self.attributes.iter().any(|pattern| matches(pattern, name))
+    }
+}
+
+fn matches(pattern: &str, name: &str) -> bool {
+    match pattern.strip_suffix('*') {
+        Some(start) => name.starts_with(start),
+        None => pattern == name,
+    }
+}
+
+/// Stage metadata as authored.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RawMeta {
+    /// Root layer as given by the user.
+    pub path: std::path::PathBuf,
+    /// `upAxis`.
+    pub up_axis: Option<String>,
+    /// `metersPerUnit`.
+    pub meters_per_unit: Option<f64>,
+    /// `defaultPrim`.
+    pub default_prim: Option<String>,
+    /// `startTimeCode`.
+    pub start_time_code: Option<f64>,
+    /// `endTimeCode`.
+    pub end_time_code: Option<f64>,
+    /// `timeCodesPerSecond` (or `framesPerSecond` where only that is authored).
+    pub time_codes_per_second: Option<f64>,
+    /// `renderSettingsPrimPath`.
+    pub render_settings_prim_path: Option<String>,
+    /// Identifiers of all layers used, sorted.
+    pub layers: Vec<String>,
+    /// `native` or `usd-core`.
+    pub reader: &'static str,
+}
+
+/// A composed stage: active, loaded, defined, non-abstract prims in depth-first order, parents before children.
+/// Prims below native instances appear once, below their prototype.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RawStage {
+    /// Metadata.
+    pub meta: RawMeta,
+    /// The pseudo-root's children and all below, then every prototype root and all below it.
+    pub prims: Vec<RawPrim>,
+    /// Number of prims in `prims` that belong to the stage proper; prototypes follow.
+    pub prototype_start: usize,
+}
+
+impl RawStage {
+    /// Index of the prim at `path`.
+    pub fn find(&self, path: &str) -> Option<usize> {
+        self.prims.iter().position(|prim| prim.path == path)
+    }
+}
+
+/// One composed prim.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RawPrim {
+    /// Stage path (`/__Prototype_1/…` below prototypes).
+    pub path: String,
+    /// `typeName`, empty if none.
+    pub type_name: String,
+    /// Index of the parent; `None` for children of the pseudo-root and for prototype roots.
+    pub parent: Option<usize>,
+    /// Applied API schemas, instance names included (`CollectionAPI:lightLink`).
+    pub api_schemas: Vec<String>,
+    /// Index of the prototype root if this prim is a native instance.
+    pub prototype: Option<usize>,
+    /// `kind` metadata.
+    pub kind: Option<String>,
+    /// Authored attributes that the request wants, by full name (`primvars:st`, `primvars:st:indices`, `xformOp:translate`).
+    pub attributes: BTreeMap<String, RawAttribute>,
+    /// Authored relationships by name with composed, absolute targets (mapped to stage paths; below prototypes:
+    /// into the prototype where the target is inside it).
+    pub relationships: BTreeMap<String, RawRelationship>,
+    /// Names of further authored attributes that the request did not want.
+    pub unread: Vec<String>,
+}
+
+/// A relationship.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RawRelationship {
+    /// Absolute target paths.
+    pub targets: Vec<String>,
+    /// `bindMaterialAs` metadata (`weakerThanDescendants` by default).
+    pub bind_material_as: Option<String>,
+}
+
+/// An authored attribute.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RawAttribute {
+    /// USD type name, e.g. `color3f[]`.
+    pub type_name: String,
+    /// Resolved value at the requested time; `None` if there is none (only connections, a block, or an empty type).
+    pub value: Option<Value>,
+    /// `interpolation` metadata.
+    pub interpolation: Option<String>,
+    /// `elementSize` metadata.
+    pub element_size: Option<i32>,
+    /// `colorSpace` metadata.
+    pub color_space: Option<String>,
+    /// Connection targets.
+    pub connections: Vec<String>,
+    /// More than one time sample (or clips).
+    pub varying: bool,
+}
+
+/// A value. All widths of a kind are unified; arrays keep single precision where USD has single or half, and
+/// `double` arrays are converted (positions of meshes are `float` in USD).
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// bool.
+    Bool(bool),
+    /// Any integer.
+    Int(i64),
+    /// half, float, double, timecode.
+    Float(f64),
+    /// token, string, path expression.
+    Token(String),
+    /// asset.
+    Asset {
+        /// As authored.
+        authored: String,
+        /// Absolute path, `package.usdz[inside.png]` in packages; empty if it cannot be resolved. `<UDIM>` stays.
+        resolved: String,
+    },
+    /// Any 2-vector.
+    Vec2(DVec2),
+    /// Any 3-vector.
+    Vec3(DVec3),
+    /// Any 4-vector.
+    Vec4(DVec4),
+    /// Any quaternion.
+    Quat(DQuat),
+    /// matrix4d, **column vectors convention** (USD's row-vector matrix transposed).
+    Matrix(DMat4),
+    /// bool[], uchar[], int[], uint[].
+    IntArray(Vec<i32>),
+    /// int64[], uint64[].
+    Int64Array(Vec<i64>),
+    /// half[], float[], double[].
+    FloatArray(Vec<f32>),
+    /// Any 2-vector array.
+    Vec2Array(Vec<Vec2>),
+    /// Any 3-vector array.
+    Vec3Array(Vec<Vec3>),
+    /// Any 4-vector array.
+    Vec4Array(Vec<Vec4>),
+    /// quath[], quatf[], quatd[] as (x, y, z, w).
+    QuatArray(Vec<Vec4>),
+    /// matrix4d[], column vectors convention.
+    MatrixArray(Vec<DMat4>),
+    /// token[], string[].
+    TokenArray(Vec<String>),
+}

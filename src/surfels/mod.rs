@@ -1,0 +1,61 @@
+//! Surfel clouds: small disks that cover the surfaces of a scene, with their light. PBGI §4.
+
+pub mod dice_map;
+pub mod nearest;
+
+pub use dice_map::DiceMap;
+pub use nearest::NearestMap;
+
+use glam::{DVec3, Vec3};
+
+/// Surfels as columns of equal length. World space relative to `origin`, stage units, linear light.
+///
+/// Promises: unit normals, finite values, `radius > 0`, `area >= 0`.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SurfelCloud {
+    /// World position that `position` is relative to.
+    pub origin: DVec3,
+    /// Centers.
+    pub position: Vec<Vec3>,
+    /// Unit normals; a surfel is one-sided, it shines and occludes towards its normal. A surface seen from both
+    /// sides has two surfels.
+    pub normal: Vec<Vec3>,
+    /// Radius of a disk that covers the micropolygon (footprint; larger than `sqrt(area/π)`).
+    pub radius: Vec<f32>,
+    /// True area of the micropolygon, stage units².
+    pub area: Vec<f32>,
+    /// Radiosity: emission + reflected light (π · outgoing radiance of a diffuse surface).
+    pub radiosity: Vec<Vec3>,
+    /// Diffuse albedo, 0…1.
+    pub albedo: Vec<Vec3>,
+    /// The emitted part of `radiosity` (π · emitted radiance).
+    pub emission: Vec<Vec3>,
+    /// Index into `prim_paths` of the source prim (equal to its `PrimId` in a cloud baked in this run).
+    pub prim: Vec<u32>,
+    /// Stage paths of the source prims.
+    pub prim_paths: Vec<String>,
+    /// Spacing it was diced at, stage units; 0 when unknown.
+    pub spacing: f32,
+}
+
+impl SurfelCloud {
+    /// Number of surfels.
+    pub fn len(&self) -> usize {
+        self.position.len()
+    }
+
+    /// True without surfels.
+    pub fn is_empty(&self) -> bool {
+        self.position.is_empty()
+    }
+
+    /// The reflected part of the radiosity of surfel `i`: never negative.
+    pub fn reflected(&self, i: usize) -> Vec3 {
+        (self.radiosity[i] - self.emission[i]).max(Vec3::ZERO)
+    }
+
+    /// Total bytes held by the columns.
+    pub fn bytes(&self) -> usize {
+        self.len() * (5 * size_of::<Vec3>() + 2 * size_of::<f32>() + size_of::<u32>())
+    }
+}

@@ -1,0 +1,1 @@
+//! Results → files: EXR, PNG, primvar layers, clouds. Each under a temporary name, then renamed.
