@@ -1,1 +1,331 @@
 //! Light after several reflections: gather at the surfels, update their radiosity, again. PBGI §8.3.
+//!
+//! What a cloud reflects after one reflection is in it from the start: B₁ = albedo · direct irradiance. With
+//! Tₖ = B₁ + … + Bₖ, one gather over the surfels gives Tₖ₊₁ = B₁ + albedo · gather(Tₖ), as gathering is linear.
+//! Emission takes no part: it is direct light.
+
+use crate::bake::Baked;
+use crate::diagnostics::{Cancelled, Diagnostics, Phase};
+use crate::gather::{self, Engine, EngineFactory, Hemisphere, quantities::irradiance};
+use crate::receivers::Receivers;
+use crate::results::Target;
+use crate::scene::PrimId;
+use crate::shading::SurfacePoint;
+use crate::surfels::SurfelCloud;
+use crate::trace::Tracer;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// The cloud to update, and the one to compute on.
+#[derive(Debug, Clone, Copy)]
+pub struct BounceClouds<'a> {
+    /// The cloud that gets the light.
+    pub fine: &'a SurfelCloud,
+    /// A coarser bake of the same scene to gather at; `None` = at the fine cloud itself.
+    pub coarse: Option<CoarseCloud<'a>>,
+}
+
+/// A coarser bake, and the way to it from the surfels of the fine one.
+#[derive(Debug, Clone, Copy)]
+pub struct CoarseCloud<'a> {
+    /// The coarse surfels.
+    pub baked: &'a Baked,
+    /// Rays against the scene both were diced from.
+    pub tracer: &'a Tracer,
+}
+
+impl CoarseCloud<'_> {
+    /// The coarse surfel whose cell surfel `i` of `fine` lies in, on the same side; `None` where the short ray down to
+    /// the surface finds none.
+    fn cell_of(&self, fine: &SurfelCloud, i: usize) -> Option<u32> {
+        let (position, normal) = (fine.position[i], fine.normal[i]);
+        let above = self.tracer.lift(position, normal);
+        let reach = above.distance(position) + fine.radius[i];
+        let hit = self.tracer.closest(above, -normal, reach)?;
+        self.baked
+            .dice
+            .surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front)
+    }
+}
+
+/// Let light be reflected `bounces` times in all: a cloud like `clouds.fine` whose reflected radiosity is that of
+/// light after 1…`bounces` reflections. 0 and 1 change nothing, as one reflection is what a bake delivers.
+///
+/// `factory` makes the engines; they read from the cloud that is computed on (the coarse one if there is one).
+/// Cost: `bounces − 1` gathers at every surfel of that cloud.
+///
+/// # Errors
+/// When cancelled.
+pub fn bounce(
+    clouds: BounceClouds<'_>,
+    factory: &dyn EngineFactory,
+    bounces: u32,
+    diagnostics: &Diagnostics,
+) -> Result<SurfelCloud, Cancelled> {
+    let fine = clouds.fine;
+    let gathers = bounces.saturating_sub(1);
+    let cloud = clouds.coarse.map_or(fine, |coarse| &coarse.baked.cloud);
+    if gathers == 0 || cloud.is_empty() {
+        return Ok(fine.clone());
+    }
+    let receivers = receivers_on(cloud);
+    let phase = diagnostics.phase("bounce", "surfels", cloud.len() as u64 * u64::from(gathers));
+    let step = Step {
+        factory,
+        diagnostics,
+        phase: &phase,
+    };
+    // All but the last gather update the cloud itself, the last one gives the light that the fine cloud takes.
+    let mut lit = cloud.clone();
+    for _ in 1..gathers {
+        let irradiance = step.gather(&lit, &receivers)?;
+        lit = reflect(cloud, &irradiance);
+    }
+    let irradiance = step.gather(&lit, &receivers)?;
+    let Some(coarse) = clouds.coarse else {
+        return Ok(reflect(fine, &irradiance));
+    };
+    let cells: Vec<_> = (0..fine.len())
+        .into_par_iter()
+        .map(|i| coarse.cell_of(fine, i))
+        .collect();
+    let irradiance = step.transfer(fine, &cells, &irradiance, &lit)?;
+    Ok(reflect(fine, &irradiance))
+}
+
+/// What one gather over surfels needs besides the cloud.
+struct Step<'a> {
+    factory: &'a dyn EngineFactory,
+    diagnostics: &'a Diagnostics,
+    phase: &'a Phase<'a>,
+}
+
+impl Step<'_> {
+    /// Irradiance at `receivers` from the light that `cloud` reflects.
+    fn gather(&self, cloud: &SurfelCloud, receivers: &Receivers) -> Result<Vec<Vec3>, Cancelled> {
+        let engine = self.factory.engine(cloud);
+        let mut irradiance = vec![Vec3::ZERO; receivers.len()];
+        irradiance
+            .par_chunks_mut(gather::BLOCK)
+            .enumerate()
+            .try_for_each_init(Hemisphere::default, |scratch, (block, out)| {
+                self.diagnostics.check()?;
+                fill(
+                    engine.as_ref(),
+                    receivers,
+                    block * gather::BLOCK,
+                    (scratch, out),
+                );
+                self.phase.advance(out.len() as u64);
+                Ok(())
+            })?;
+        Ok(irradiance)
+    }
+
+    /// Irradiance at the surfels of `fine`: that of the coarse cell each lies in, gathered from `lit` where it lies
+    /// in none.
+    fn transfer(
+        &self,
+        fine: &SurfelCloud,
+        cells: &[Option<u32>],
+        coarse_irradiance: &[Vec3],
+        lit: &SurfelCloud,
+    ) -> Result<Vec<Vec3>, Cancelled> {
+        let lost: Vec<usize> = (0..cells.len()).filter(|&i| cells[i].is_none()).collect();
+        let gathered = self.gather(lit, &receivers_among(fine, &lost))?;
+        let mut irradiance: Vec<Vec3> = cells
+            .iter()
+            .map(|cell| cell.map_or(Vec3::ZERO, |cell| coarse_irradiance[cell as usize]))
+            .collect();
+        for (i, value) in lost.into_iter().zip(gathered) {
+            irradiance[i] = value;
+        }
+        Ok(irradiance)
+    }
+}
+
+/// Irradiance at one block of receivers, from `start` on.
+fn fill(
+    engine: &dyn Engine,
+    receivers: &Receivers,
+    start: usize,
+    (scratch, out): (&mut Hemisphere, &mut [Vec3]),
+) {
+    let range = start..start + out.len();
+    engine.see(receivers, range, scratch, &mut |i, seen| {
+        out[i - start] = irradiance::indirect(seen);
+    });
+}
+
+/// `cloud`, which holds one reflection, with its albedo · `irradiance` added.
+fn reflect(cloud: &SurfelCloud, irradiance: &[Vec3]) -> SurfelCloud {
+    let radiosity = (0..cloud.len())
+        .map(|i| cloud.radiosity[i] + cloud.albedo[i] * irradiance[i])
+        .collect();
+    SurfelCloud {
+        radiosity,
+        ..cloud.clone()
+    }
+}
+
+/// All surfels as receivers.
+fn receivers_on(cloud: &SurfelCloud) -> Receivers {
+    receivers_among(cloud, &(0..cloud.len()).collect::<Vec<_>>())
+}
+
+/// The surfels `picked` as receivers. Surfels are flat and know no triangle: their surface points only name the prim,
+/// and stand for the middle of one.
+fn receivers_among(cloud: &SurfelCloud, picked: &[usize]) -> Receivers {
+    const MIDDLE: f32 = 1.0 / 3.0;
+    let surface = |&i: &usize| SurfacePoint {
+        prim: PrimId(cloud.prim[i]),
+        triangle: 0,
+        u: MIDDLE,
+        v: MIDDLE,
+        footprint: 2.0 * cloud.radius[i],
+    };
+    let normal: Vec<Vec3> = picked.iter().map(|&i| cloud.normal[i]).collect();
+    Receivers {
+        origin: cloud.origin,
+        position: picked.iter().map(|&i| cloud.position[i]).collect(),
+        geometric_normal: normal.clone(),
+        normal,
+        prim: picked.iter().map(|&i| cloud.prim[i]).collect(),
+        surface: picked.iter().map(surface).collect(),
+        depth: Vec::new(),
+        target: Target::Surfels,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f32::consts::PI;
+    use std::ops::Range;
+
+    /// Sees the six walls of a cube from the middle of each: a fifth of the hemisphere each, near enough for light
+    /// that is the same everywhere.
+    #[derive(Debug)]
+    struct CubeEngine<'a>(&'a SurfelCloud);
+
+    impl Engine for CubeEngine<'_> {
+        fn see(
+            &self,
+            receivers: &Receivers,
+            block: Range<usize>,
+            scratch: &mut Hemisphere,
+            visit: &mut dyn FnMut(usize, &Hemisphere),
+        ) {
+            for i in block {
+                scratch.clear();
+                for j in 0..6 {
+                    let to = self.0.position[j] - receivers.position[i];
+                    if to.dot(receivers.normal[i]) > 0.1 {
+                        scratch.direction.push(to.normalize());
+                        scratch.weight.push(PI / 5.0);
+                        scratch.coverage.push(1.0);
+                        scratch.distance.push(to.length());
+                        scratch.reflected.push(self.0.reflected(j) / PI);
+                        scratch.emitted.push(self.0.emission[j] / PI);
+                    }
+                }
+                visit(i, scratch);
+            }
+        }
+
+        fn name(&self) -> &'static str {
+            "cube"
+        }
+    }
+
+    #[derive(Debug)]
+    struct CubeFactory;
+
+    impl EngineFactory for CubeFactory {
+        fn engine<'e>(&'e self, cloud: &'e SurfelCloud) -> Box<dyn Engine + 'e> {
+            Box::new(CubeEngine(cloud))
+        }
+    }
+
+    /// The inside of a cube whose walls all emit radiance 1 and reflect `albedo`, lit directly.
+    fn furnace(albedo: Vec3) -> SurfelCloud {
+        let normal = [Vec3::X, -Vec3::X, Vec3::Y, -Vec3::Y, Vec3::Z, -Vec3::Z];
+        let emission = Vec3::splat(PI);
+        SurfelCloud {
+            position: normal.iter().map(|n| -0.5 * *n).collect(),
+            normal: normal.to_vec(),
+            radius: vec![0.8; 6],
+            area: vec![1.0; 6],
+            radiosity: vec![emission + albedo * PI; 6],
+            albedo: vec![albedo; 6],
+            emission: vec![emission; 6],
+            prim: vec![0; 6],
+            ..SurfelCloud::default()
+        }
+    }
+
+    fn on_itself(cloud: &SurfelCloud) -> BounceClouds<'_> {
+        BounceClouds {
+            fine: cloud,
+            coarse: None,
+        }
+    }
+
+    #[test]
+    fn a_furnace_reflects_the_geometric_series_up_to_its_number_of_bounces() {
+        let albedo = Vec3::new(0.6, 0.3, 0.0);
+        let cloud = furnace(albedo);
+        for bounces in [0, 1, 2, 3, 12] {
+            let lit = bounce(
+                on_itself(&cloud),
+                &CubeFactory,
+                bounces,
+                &Diagnostics::default(),
+            )
+            .unwrap();
+            let exact = (1..=bounces.max(1).cast_signed())
+                .fold(Vec3::ZERO, |sum, k| sum + PI * albedo.map(|x| x.powi(k)));
+            for i in 0..6 {
+                let got = lit.reflected(i);
+                assert!(got.abs_diff_eq(exact, 1e-4), "{bounces}: {got} {exact}");
+            }
+            assert_eq!(lit.emission, cloud.emission);
+            assert_eq!(lit.position, cloud.position);
+        }
+    }
+
+    #[test]
+    fn surfels_take_the_light_of_their_coarse_cell_and_gather_their_own_without_one() {
+        let coarse = furnace(Vec3::splat(0.5));
+        let fine = furnace(Vec3::splat(0.25));
+        let diagnostics = Diagnostics::default();
+        let phase = diagnostics.phase("bounce", "surfels", 0);
+        let step = Step {
+            factory: &CubeFactory,
+            diagnostics: &diagnostics,
+            phase: &phase,
+        };
+        let mut cells = vec![Some(0), Some(1), Some(2), Some(3), Some(4), None];
+        let known: Vec<Vec3> = (0..6).map(|i| Vec3::splat(i as f32)).collect();
+        let light = step.transfer(&fine, &cells, &known, &coarse).unwrap();
+        assert_eq!(light[..5], known[..5]);
+        assert!(light[5].abs_diff_eq(Vec3::splat(0.5 * PI), 1e-5));
+        cells.clear();
+        let none = SurfelCloud::default();
+        assert!(step.transfer(&none, &cells, &[], &none).unwrap().is_empty());
+    }
+
+    #[test]
+    fn an_empty_cloud_stays_empty_and_a_cancelled_run_ends() {
+        let diagnostics = Diagnostics::default();
+        let empty = SurfelCloud::default();
+        let lit = bounce(on_itself(&empty), &CubeFactory, 5, &diagnostics).unwrap();
+        assert!(lit.is_empty());
+        diagnostics.cancel_token().cancel();
+        let cloud = furnace(Vec3::ONE);
+        assert_eq!(
+            bounce(on_itself(&cloud), &CubeFactory, 2, &diagnostics),
+            Err(Cancelled)
+        );
+    }
+}

@@ -1,14 +1,29 @@
 //! Octree or scene × [`Receivers`] → [`Results`]. PBGI §6.
 //!
-//! An [`Engine`] fills a [`Hemisphere`] for every receiver; the quantities read AOVs off it.
+//! An [`Engine`] fills a [`Hemisphere`] for every receiver; the [`quantities`] read all AOVs off it in one pass.
+
+pub mod estimate;
+pub mod quantities;
+pub mod radiance;
+mod ray_query;
+pub mod rays;
+#[cfg(test)]
+mod testing;
+
+pub use estimate::{ErrorEstimate, estimate};
+pub use radiance::{LoadedCloud, RadianceSource};
+pub use rays::{RaysEngine, RaysFactory, RaysSettings};
 
 use crate::diagnostics::{Cancelled, Diagnostics};
-use crate::lighting::Lighting;
+use crate::lighting::{Lighting, ShadePoint};
 use crate::receivers::Receivers;
-use crate::results::{Aov, Results};
-use crate::shading::Shader;
+use crate::results::{Aov, AovBuffer, Results};
+use crate::shading::{Shader, Surface};
+use crate::surfels::SurfelCloud;
 use crate::trace::Tracer;
 use glam::Vec3;
+use quantities::{Seen, irradiance, occlusion};
+use rayon::prelude::*;
 use std::fmt::Debug;
 use std::ops::Range;
 
@@ -57,6 +72,12 @@ pub trait Engine: Sync + Debug {
     fn name(&self) -> &'static str;
 }
 
+/// Makes an engine that reads light from a cloud; for `bounce`, whose clouds change from one iteration to the next.
+pub trait EngineFactory: Sync + Debug {
+    /// An engine over `cloud`.
+    fn engine<'e>(&'e self, cloud: &'e SurfelCloud) -> Box<dyn Engine + 'e>;
+}
+
 /// What a gather works with.
 #[derive(Debug, Clone, Copy)]
 pub struct GatherScene<'a> {
@@ -68,7 +89,13 @@ pub struct GatherScene<'a> {
     pub lighting: Option<&'a Lighting>,
 }
 
-/// Compute `aovs` at every receiver.
+/// Receivers a unit of parallel work: enough to hide its overhead, few enough to balance small runs and to be
+/// cancelled between.
+pub(crate) const BLOCK: usize = 64;
+
+/// Compute `aovs` at every receiver, one buffer each in the order given. The same bits for any number of threads.
+///
+/// Light of a kind that `scene` has no sources for is black. `depth` is 0 for receivers that no camera placed.
 ///
 /// # Errors
 /// When cancelled.
@@ -79,6 +106,173 @@ pub fn gather(
     aovs: &[Aov],
     diagnostics: &Diagnostics,
 ) -> Result<Results, Cancelled> {
-    let _ = (scene, engine, receivers, aovs, diagnostics);
-    todo!("gather helper")
+    let work = Work::plan(scene, aovs);
+    let phase = diagnostics.phase("gather", "receivers", receivers.len() as u64);
+    let mut results = empty_results(aovs, receivers.len());
+    split(&mut results, receivers.len())
+        .into_par_iter()
+        .try_for_each_init(Hemisphere::default, |scratch, mut block| {
+            diagnostics.check()?;
+            let count = block.range.len() as u64;
+            work.fill(engine, receivers, &mut block, scratch);
+            phase.advance(count);
+            Ok(())
+        })?;
+    Ok(results)
+}
+
+/// Zeros for `count` receivers.
+fn empty_results(aovs: &[Aov], count: usize) -> Results {
+    let buffer = |&aov: &Aov| AovBuffer {
+        aov,
+        data: vec![0.0; count * aov.components()],
+    };
+    Results {
+        buffers: aovs.iter().map(buffer).collect(),
+    }
+}
+
+/// Some neighboring receivers and the places for their values.
+struct Block<'a> {
+    range: Range<usize>,
+    /// One slice an AOV.
+    values: Vec<(Aov, &'a mut [f32])>,
+}
+
+/// Cut the buffers of `results` into blocks, so that threads write into their places without copies.
+fn split(results: &mut Results, count: usize) -> Vec<Block<'_>> {
+    let mut blocks: Vec<_> = (0..count)
+        .step_by(BLOCK)
+        .map(|start| Block {
+            range: start..(start + BLOCK).min(count),
+            values: Vec::new(),
+        })
+        .collect();
+    for buffer in &mut results.buffers {
+        let chunks = buffer.data.chunks_mut(BLOCK * buffer.aov.components());
+        for (block, chunk) in blocks.iter_mut().zip(chunks) {
+            block.values.push((buffer.aov, chunk));
+        }
+    }
+    blocks
+}
+
+/// What has to be computed at every receiver for the AOVs asked for, and nothing else.
+struct Work<'a> {
+    scene: GatherScene<'a>,
+    material: bool,
+    direct: Option<&'a Lighting>,
+    environment: Environment<'a>,
+    indirect: bool,
+    hemisphere: bool,
+}
+
+/// How the environment lights receivers.
+#[derive(Clone, Copy)]
+enum Environment<'a> {
+    /// Not at all, or nobody asks.
+    None,
+    /// The same radiance from everywhere: what the hemisphere leaves open is all that matters.
+    Uniform(Vec3),
+    /// It has an image: its own importance-sampled rays.
+    Sampled(&'a Lighting),
+}
+
+impl<'a> Work<'a> {
+    fn plan(scene: GatherScene<'a>, aovs: &[Aov]) -> Self {
+        let any = |asks: fn(Aov) -> bool| aovs.iter().any(|&aov| asks(aov));
+        let environment = match scene.lighting {
+            Some(lighting) if any(Aov::needs_environment) && lighting.has_environment() => lighting
+                .uniform_environment()
+                .map_or(Environment::Sampled(lighting), Environment::Uniform),
+            _ => Environment::None,
+        };
+        let indirect = any(Aov::needs_indirect);
+        let openness = any(|aov| matches!(aov, Aov::Occlusion | Aov::Visibility | Aov::BentNormal));
+        Self {
+            scene,
+            material: any(Aov::needs_material),
+            direct: scene.lighting.filter(|_| any(Aov::needs_direct)),
+            environment,
+            indirect,
+            hemisphere: indirect || openness || matches!(environment, Environment::Uniform(_)),
+        }
+    }
+
+    fn fill(
+        &self,
+        engine: &dyn Engine,
+        receivers: &Receivers,
+        block: &mut Block<'_>,
+        scratch: &mut Hemisphere,
+    ) {
+        let start = block.range.start;
+        let mut visit = |i: usize, hemisphere: &Hemisphere| {
+            let seen = self.seen(receivers, i, hemisphere);
+            for (aov, values) in &mut block.values {
+                let place = (i - start) * aov.components();
+                quantities::write(*aov, &seen, &mut values[place..place + aov.components()]);
+            }
+        };
+        if self.hemisphere {
+            engine.see(receivers, block.range.clone(), scratch, &mut visit);
+        } else {
+            scratch.clear();
+            block.range.clone().for_each(|i| visit(i, scratch));
+        }
+    }
+
+    fn seen<'s>(&self, receivers: &'s Receivers, i: usize, hemisphere: &'s Hemisphere) -> Seen<'s> {
+        let point = ShadePoint {
+            position: receivers.position[i],
+            normal: receivers.normal[i],
+            geometric_normal: receivers.geometric_normal[i],
+        };
+        let seen = Seen {
+            receivers,
+            index: i,
+            hemisphere,
+            surface: self.surface(receivers, i),
+            direct: self.direct(&point),
+            environment: self.environment(&point, hemisphere),
+            indirect: if self.indirect {
+                irradiance::indirect(hemisphere)
+            } else {
+                Vec3::ZERO
+            },
+        };
+        debug_assert!(
+            (seen.direct + seen.environment + seen.indirect).is_finite(),
+            "receiver {i} receives light that is not finite: {seen:?}"
+        );
+        seen
+    }
+
+    fn surface(&self, receivers: &Receivers, i: usize) -> Surface {
+        if self.material {
+            self.scene.shader.surface(&receivers.surface[i])
+        } else {
+            quantities::BLACK_SURFACE
+        }
+    }
+
+    fn direct(&self, point: &ShadePoint) -> Vec3 {
+        let Some(lighting) = self.direct else {
+            return Vec3::ZERO;
+        };
+        let lights = lighting.lights(self.scene.tracer, point);
+        if lighting.has_emitters() {
+            lights + lighting.emitters(self.scene.shader, self.scene.tracer, point)
+        } else {
+            lights
+        }
+    }
+
+    fn environment(&self, point: &ShadePoint, hemisphere: &Hemisphere) -> Vec3 {
+        match self.environment {
+            Environment::None => Vec3::ZERO,
+            Environment::Uniform(radiance) => radiance * occlusion::open(hemisphere),
+            Environment::Sampled(lighting) => lighting.environment(self.scene.tracer, point),
+        }
+    }
 }

@@ -1,0 +1,201 @@
+//! Results → how wrong they probably are: a few receivers are gathered again with a better engine.
+//!
+//! The engine's own share is measured: what covers and lights the hemisphere. Errors that the run and its reference
+//! have in common (direct light's own samples, the surfels' spacing) are not.
+
+use super::{Engine, GatherScene, gather};
+use crate::diagnostics::{Cancelled, Diagnostics};
+use crate::receivers::Receivers;
+use crate::results::{Aov, Results, Target};
+
+/// Error of one AOV over the receivers of a run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ErrorEstimate {
+    /// Which AOV; [`Aov::Visibility`] stands for occlusion too, which is measured as visibility.
+    pub aov: Aov,
+    /// rms(error) / mean |value|; 0 where all values are zero in both.
+    pub relative_rmse: f64,
+    /// Receivers it was measured at.
+    pub receivers: usize,
+}
+
+/// The better engine.
+#[derive(Debug, Clone, Copy)]
+pub struct Reference<'a> {
+    /// It.
+    pub engine: &'a dyn Engine,
+    /// Its cost a receiver over that of the run's engine.
+    pub cost: u32,
+    /// Its expected squared error over that of the run's engine, 0…1; 0 = without error, which makes the estimate
+    /// an upper bound. [`super::RaysSettings::REFERENCE_ERROR_SHARE`] for rays judging rays.
+    pub error_share: f64,
+}
+
+/// Most receivers to measure at: their mean square is then known to within about 10 %.
+const MOST: usize = 256;
+
+/// With fewer receivers than this an estimate would be mere chance: none is made.
+const FEWEST: usize = 16;
+
+/// The estimate may cost this fraction of the run.
+const SHARE_OF_RUN: usize = 10;
+
+/// Estimate the error of `results` for each AOV whose value depends on the hemisphere, in order; empty when the run is
+/// too small for a tenth of its cost to buy an estimate.
+///
+/// Method: evenly spaced receivers (at most 256) are gathered again by the reference. Run and reference err
+/// independently, so the expected square of their difference is the sum of both squares, and the run's part of it is
+/// 1/(1 + error share).
+///
+/// # Errors
+/// When cancelled.
+pub fn estimate(
+    scene: GatherScene<'_>,
+    reference: Reference<'_>,
+    receivers: &Receivers,
+    results: &Results,
+    diagnostics: &Diagnostics,
+) -> Result<Vec<ErrorEstimate>, Cancelled> {
+    let picked = pick(receivers.len(), reference.cost);
+    let aovs = measured(results);
+    if picked.is_empty() || aovs.is_empty() {
+        return Ok(Vec::new());
+    }
+    let subset = subset(receivers, &picked);
+    let truth = gather(scene, reference.engine, &subset, &aovs, diagnostics)?;
+    Ok(compare(results, &truth, &picked, reference.error_share))
+}
+
+/// AOVs of `results` that a better look at the hemisphere can change.
+fn measured(results: &Results) -> Vec<Aov> {
+    results
+        .buffers
+        .iter()
+        .map(|buffer| buffer.aov)
+        .filter(|aov| aov.needs_hemisphere())
+        .collect()
+}
+
+/// Indices of evenly spaced receivers out of `count`, as many as the budget allows; empty below [`FEWEST`].
+fn pick(count: usize, cost: u32) -> Vec<usize> {
+    let affordable = count / (SHARE_OF_RUN * (cost.max(1) as usize));
+    let picks = affordable.min(MOST);
+    if picks < FEWEST {
+        return Vec::new();
+    }
+    (0..picks)
+        .map(|k| (2 * k + 1) * count / (2 * picks))
+        .collect()
+}
+
+/// The receivers `picked`, as receivers of their own.
+fn subset(receivers: &Receivers, picked: &[usize]) -> Receivers {
+    fn take<T: Copy>(column: &[T], picked: &[usize]) -> Vec<T> {
+        picked
+            .iter()
+            .filter_map(|&i| column.get(i).copied())
+            .collect()
+    }
+    Receivers {
+        origin: receivers.origin,
+        position: take(&receivers.position, picked),
+        normal: take(&receivers.normal, picked),
+        geometric_normal: take(&receivers.geometric_normal, picked),
+        prim: take(&receivers.prim, picked),
+        surface: take(&receivers.surface, picked),
+        depth: take(&receivers.depth, picked),
+        target: Target::Surfels,
+    }
+}
+
+fn compare(
+    results: &Results,
+    truth: &Results,
+    picked: &[usize],
+    error_share: f64,
+) -> Vec<ErrorEstimate> {
+    truth
+        .buffers
+        .iter()
+        .filter_map(|buffer| {
+            let run = results.get(buffer.aov)?;
+            let n = buffer.aov.components();
+            let pairs = picked.iter().enumerate().flat_map(|(k, &i)| {
+                (0..n).map(move |c| (run.data[i * n + c], buffer.data[k * n + c]))
+            });
+            let (aov, flip) = match buffer.aov {
+                Aov::Occlusion => (Aov::Visibility, true),
+                other => (other, false),
+            };
+            let as_measured = |x: f32| f64::from(if flip { 1.0 - x } else { x });
+            let pairs = pairs.map(|(run, truth)| (as_measured(run), as_measured(truth)));
+            Some(ErrorEstimate {
+                aov,
+                relative_rmse: relative_rmse(pairs) / (1.0 + error_share).sqrt(),
+                receivers: picked.len(),
+            })
+        })
+        .collect()
+}
+
+/// rms(a − b) / mean |b| over pairs (a, b); the rms itself where b is zero throughout.
+fn relative_rmse(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let (mut square, mut size, mut count) = (0.0, 0.0, 0.0);
+    for (a, b) in pairs {
+        square += (a - b) * (a - b);
+        size += b.abs();
+        count += 1.0;
+    }
+    if count == 0.0 {
+        return 0.0;
+    }
+    let (rms, mean) = ((square / count).sqrt(), size / count);
+    if mean > 0.0 { rms / mean } else { rms }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::receivers_at;
+    use super::*;
+    use crate::results::AovBuffer;
+    use glam::Vec3;
+
+    fn one(aov: Aov, data: Vec<f32>) -> Results {
+        Results {
+            buffers: vec![AovBuffer { aov, data }],
+        }
+    }
+
+    #[test]
+    fn occlusion_is_measured_as_visibility() {
+        let results = one(Aov::Occlusion, vec![0.9, 0.0, 0.9, 0.0]);
+        let truth = one(Aov::Occlusion, vec![0.8, 0.8]);
+        let [estimate] = compare(&results, &truth, &[0, 2], 0.0)[..] else {
+            panic!("one AOV, one estimate");
+        };
+        assert_eq!(estimate.aov, Aov::Visibility);
+        assert!((estimate.relative_rmse - 0.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_reference_error_is_taken_out_of_the_difference() {
+        let results = one(Aov::IrradianceIndirect, vec![3.0, 3.0, 3.0]);
+        let truth = one(Aov::IrradianceIndirect, vec![2.0, 2.0, 2.0]);
+        let estimate = compare(&results, &truth, &[0], 0.125)[0];
+        assert!((estimate.relative_rmse - 0.5 / 1.125_f64.sqrt()).abs() < 1e-9);
+        let black = one(Aov::IrradianceIndirect, vec![0.0; 3]);
+        assert_eq!(compare(&black, &black, &[0], 0.0)[0].relative_rmse, 0.0);
+    }
+
+    #[test]
+    fn picks_are_spread_affordable_and_none_for_tiny_runs() {
+        assert!(pick(0, 4).is_empty() && pick(639, 4).is_empty());
+        assert_eq!(pick(640, 4).len(), 16);
+        let many = pick(1_000_000, 4);
+        assert_eq!(many.len(), 256);
+        assert!(many[0] < 4000 && many[255] > 996_000 && many[255] < 1_000_000);
+        assert!(many.windows(2).all(|pair| pair[0] < pair[1]));
+        let receivers = receivers_at(&[(Vec3::X, Vec3::Y), (Vec3::Z, Vec3::Y)]);
+        assert_eq!(subset(&receivers, &[1]).position, [Vec3::Z]);
+    }
+}
