@@ -366,7 +366,7 @@ mod tests {
         }
         let values = occlusions(&shapes, &receivers_at(&points), RaysSettings::default());
         for pair in values.chunks_exact(2) {
-            // One ray may change sides; a frame that flips changes about ten.
+            // One ray may change sides; a frame that flips changes several.
             assert!((pair[0] - pair[1]).abs() < 1.5 / 1024.0, "{pair:?}");
         }
     }

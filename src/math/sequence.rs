@@ -180,9 +180,12 @@ mod tests {
                 let mut seen = vec![0; 1 << bits];
                 for i in 0..1 << bits {
                     let p = sobol_owen(i, seed);
-                    let column = (p.x * (1 << x_bits) as f32) as usize;
-                    let row = (p.y * (1 << (bits - x_bits)) as f32) as usize;
-                    seen[(row << x_bits) + column] += 1;
+                    let digits = |x: f32, count: u32| -> usize {
+                        (0..1 << count)
+                            .rposition(|k| x >= k as f32 / (1 << count) as f32)
+                            .unwrap()
+                    };
+                    seen[(digits(p.y, bits - x_bits) << x_bits) + digits(p.x, x_bits)] += 1;
                 }
                 assert!(seen.iter().all(|&count| count == 1), "{seed} {x_bits}");
             }

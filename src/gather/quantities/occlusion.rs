@@ -20,6 +20,10 @@ pub fn open(hemisphere: &Hemisphere) -> f32 {
 }
 
 /// Cosine-weighted solid angle that is covered, sr.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the sum is rounded once, at its end"
+)]
 fn covered(hemisphere: &Hemisphere) -> f32 {
     let sum: f64 = hemisphere
         .weight

@@ -1,0 +1,443 @@
+//! Closed forms through the whole pipeline after `stage`: scenes made by code, gathered with the rays engine.
+
+#[allow(dead_code, reason = "every test file uses some of the builders")]
+#[path = "support/scenes.rs"]
+mod scenes;
+
+use glam::{DVec3, Vec3};
+use scenes::{
+    SceneBuilder, Side, bowl, plate, polygon_irradiance, receivers_at, receivers_in, room,
+};
+use std::f32::consts::{FRAC_PI_2, PI};
+use surflux::bake::{BakeSettings, Baked, bake};
+use surflux::bounce::{BounceClouds, CoarseCloud, bounce};
+use surflux::diagnostics::Diagnostics;
+use surflux::gather::estimate::Reference;
+use surflux::gather::{
+    GatherScene, RadianceSource, RaysEngine, RaysFactory, RaysSettings, estimate, gather,
+};
+use surflux::lighting::{LightSamples, Lighting};
+use surflux::math::Bounds3;
+use surflux::receivers::Receivers;
+use surflux::results::{Aov, Results};
+use surflux::scene::{PrimId, Scene};
+use surflux::shading::Shader;
+use surflux::surfels::SurfelCloud;
+use surflux::trace::Tracer;
+
+/// Everything prepared for gathering in one scene.
+struct Setup<'a> {
+    diagnostics: Diagnostics,
+    shader: Shader<'a>,
+    tracer: Tracer,
+    lighting: Lighting,
+}
+
+impl<'a> Setup<'a> {
+    fn new(scene: &'a Scene) -> Self {
+        let diagnostics = Diagnostics::default();
+        let shader = Shader::new(scene, &diagnostics);
+        let tracer = Tracer::new(scene);
+        let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
+        Self {
+            diagnostics,
+            shader,
+            tracer,
+            lighting,
+        }
+    }
+
+    fn gather_scene(&self) -> GatherScene<'_> {
+        GatherScene {
+            shader: &self.shader,
+            tracer: &self.tracer,
+            lighting: Some(&self.lighting),
+        }
+    }
+
+    fn bake(&self, surfels: usize) -> Baked {
+        let settings = BakeSettings {
+            surfels,
+            ..BakeSettings::default()
+        };
+        let lighting = Lighting::new(&self.shader, LightSamples::SURFEL, &self.diagnostics);
+        bake(
+            &self.shader,
+            &self.tracer,
+            &lighting,
+            &settings,
+            &self.diagnostics,
+        )
+        .expect("nobody cancels")
+    }
+
+    /// Gather with rays that read from `cloud`, a variant of `baked`'s.
+    fn lit(
+        &self,
+        (baked, cloud): (&Baked, &SurfelCloud),
+        receivers: &Receivers,
+        aovs: &[Aov],
+    ) -> Results {
+        let source = RadianceSource::Baked {
+            cloud,
+            dice: &baked.dice,
+        };
+        let engine = RaysEngine::new(&self.tracer, Some(source), RaysSettings::default());
+        gather(
+            self.gather_scene(),
+            &engine,
+            receivers,
+            aovs,
+            &self.diagnostics,
+        )
+        .expect("nobody cancels")
+    }
+
+    /// Gather without surfels.
+    fn open(&self, receivers: &Receivers, aovs: &[Aov]) -> Results {
+        let engine = RaysEngine::new(&self.tracer, None, RaysSettings::default());
+        gather(
+            self.gather_scene(),
+            &engine,
+            receivers,
+            aovs,
+            &self.diagnostics,
+        )
+        .expect("nobody cancels")
+    }
+}
+
+fn colors(results: &Results, aov: Aov) -> Vec<Vec3> {
+    let buffer = results.get(aov).expect("it was asked for");
+    buffer.data.chunks_exact(3).map(Vec3::from_slice).collect()
+}
+
+fn values(results: &Results, aov: Aov) -> &[f32] {
+    &results.get(aov).expect("it was asked for").data
+}
+
+/// A cube whose walls emit radiance 1 and reflect `albedo`.
+fn furnace(albedo: f32) -> (Scene, PrimId) {
+    let mut builder = SceneBuilder::new();
+    let glowing = builder.material(Vec3::splat(albedo), Vec3::ONE);
+    let unit = Bounds3::around([Vec3::ZERO, Vec3::ONE]);
+    let prim = builder.mesh("room", room(unit, 8), glowing);
+    (builder.build(), prim)
+}
+
+#[test]
+fn white_furnace_gives_the_geometric_series() {
+    let (scene, prim) = furnace(0.6);
+    let setup = Setup::new(&scene);
+    let baked = setup.bake(6000);
+    let receivers = receivers_in(&scene, prim, 17);
+    let factory = RaysFactory {
+        tracer: &setup.tracer,
+        dice: &baked.dice,
+        settings: RaysSettings {
+            rays: 128,
+            ..RaysSettings::default()
+        },
+    };
+    for bounces in [1, 2, 12] {
+        let clouds = BounceClouds {
+            fine: &baked.cloud,
+            coarse: None,
+        };
+        let cloud = bounce(clouds, &factory, bounces, &setup.diagnostics).expect("runs");
+        let results = setup.lit((&baked, &cloud), &receivers, &[Aov::Irradiance]);
+        let exact = PI
+            * (0..=bounces.cast_signed())
+                .map(|k| 0.6_f32.powi(k))
+                .sum::<f32>();
+        for value in colors(&results, Aov::Irradiance) {
+            let error = (value / exact - 1.0).abs().max_element();
+            assert!(error < 0.01, "{bounces} bounces: {value}, exact {exact}");
+        }
+    }
+}
+
+#[test]
+fn a_coarser_cloud_bounces_the_same_light() {
+    let (scene, prim) = furnace(0.6);
+    let setup = Setup::new(&scene);
+    let (fine, coarse) = (setup.bake(6000), setup.bake(800));
+    let factory = RaysFactory {
+        tracer: &setup.tracer,
+        dice: &coarse.dice,
+        settings: RaysSettings {
+            rays: 128,
+            ..RaysSettings::default()
+        },
+    };
+    let clouds = BounceClouds {
+        fine: &fine.cloud,
+        coarse: Some(CoarseCloud {
+            baked: &coarse,
+            tracer: &setup.tracer,
+        }),
+    };
+    let cloud = bounce(clouds, &factory, 3, &setup.diagnostics).expect("runs");
+    let receivers = receivers_in(&scene, prim, 29);
+    let results = setup.lit((&fine, &cloud), &receivers, &[Aov::IrradianceIndirect]);
+    let exact = PI * (0.6 + 0.36 + 0.216);
+    for value in colors(&results, Aov::IrradianceIndirect) {
+        assert!(
+            (value / exact - 1.0).abs().max_element() < 0.01,
+            "{value} {exact}"
+        );
+    }
+}
+
+#[test]
+fn a_furnace_is_closed_and_its_beauty_is_emission_plus_reflection() {
+    let (scene, prim) = furnace(0.25);
+    let setup = Setup::new(&scene);
+    let baked = setup.bake(2000);
+    let receivers = receivers_in(&scene, prim, 31);
+    let aovs = [Aov::Occlusion, Aov::Color, Aov::DiffuseDirect];
+    let results = setup.lit((&baked, &baked.cloud), &receivers, &aovs);
+    assert!(values(&results, Aov::Occlusion).iter().all(|&x| x > 0.999));
+    for pixel in values(&results, Aov::Color).chunks_exact(4) {
+        assert!((pixel[0] - (1.0 + 0.25 + 0.0625)).abs() < 0.01, "{pixel:?}");
+        assert_eq!(pixel[3], 1.0);
+    }
+    for value in colors(&results, Aov::DiffuseDirect) {
+        assert!((value.x - 0.25).abs() < 0.005, "{value}");
+    }
+}
+
+#[test]
+fn a_sphere_alone_under_a_uniform_sky_sees_all_of_it() {
+    let mut builder = SceneBuilder::new();
+    let white = builder.material(Vec3::ONE, Vec3::ZERO);
+    // Coarse on purpose: its facets and smooth normals differ by up to 11 degrees.
+    let ball = builder.mesh("ball", bowl(Vec3::Y, 2.0, PI, 8, Side::Outside), white);
+    builder.sky(Vec3::new(1.0, 2.0, 0.5));
+    let scene = builder.build();
+    let setup = Setup::new(&scene);
+    let mut points = Vec::new();
+    for triangle in (0..).take(scene.meshes[0].triangles.len()) {
+        points.push((ball, triangle, 0.3, 0.3));
+        points.push((ball, triangle, 0.0, 0.0));
+        points.push((ball, triangle, 1.0, 0.0));
+        points.push((ball, triangle, 0.0, 1.0));
+    }
+    let receivers = receivers_at(&scene, &points);
+    let aovs = [
+        Aov::Visibility,
+        Aov::Occlusion,
+        Aov::IrradianceEnvironment,
+        Aov::BentNormal,
+        Aov::Normal,
+    ];
+    let results = setup.open(&receivers, &aovs);
+    assert!(values(&results, Aov::Visibility).iter().all(|&x| x == 1.0));
+    assert!(values(&results, Aov::Occlusion).iter().all(|&x| x == 0.0));
+    for value in colors(&results, Aov::IrradianceEnvironment) {
+        assert!(value.abs_diff_eq(PI * Vec3::new(1.0, 2.0, 0.5), 1e-5));
+    }
+    let bent = colors(&results, Aov::BentNormal);
+    for (bent, normal) in bent.iter().zip(colors(&results, Aov::Normal)) {
+        // Directions below a facet are mirrored at it, which turns their mean a little.
+        assert!(bent.dot(normal) > 0.998, "{bent} {normal}");
+    }
+}
+
+/// A dark floor and an emitting plate whose edge runs along X at the origin, opened by `angle` between them.
+fn wedge(angle: f32) -> (Scene, PrimId, [Vec3; 4]) {
+    let mut builder = SceneBuilder::new();
+    let dark = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+    let glowing = builder.material(Vec3::ZERO, Vec3::splat(3.0));
+    let floor = builder.mesh("floor", plate(Vec3::ZERO, Vec3::Z, Vec3::X, 10), dark);
+    let up = Vec3::new(0.0, angle.sin(), angle.cos());
+    builder.mesh("wall", plate(Vec3::ZERO, Vec3::X, up, 10), glowing);
+    let corners = [Vec3::ZERO, Vec3::X, Vec3::X + up, up];
+    (builder.build(), floor, corners)
+}
+
+#[test]
+fn plates_at_an_angle_cover_and_light_each_other_by_their_configuration_factors() {
+    for angle in [FRAC_PI_2, PI / 3.0, 2.0] {
+        let (scene, floor, wall) = wedge(angle);
+        let setup = Setup::new(&scene);
+        let receivers = receivers_in(&scene, floor, 3);
+        let results = setup.open(&receivers, &[Aov::Occlusion, Aov::IrradianceDirect]);
+        let direct = colors(&results, Aov::IrradianceDirect);
+        for i in 0..receivers.len() {
+            let exact = polygon_irradiance(receivers.position[i], Vec3::Y, &wall);
+            let occlusion = f64::from(values(&results, Aov::Occlusion)[i]);
+            let covered = exact / std::f64::consts::PI;
+            // 1024 rays cross at most four sides of a square: measured below 0.4 %.
+            assert!(
+                (occlusion - covered).abs() < 0.006,
+                "{angle} {i}: {occlusion} {covered}"
+            );
+            let error = (f64::from(direct[i].x) / (3.0 * exact) - 1.0).abs();
+            assert!(error < 0.03, "{angle} {i}: {} {}", direct[i], 3.0 * exact);
+        }
+    }
+}
+
+#[test]
+fn parallel_plates_cover_each_other_by_their_configuration_factor() {
+    for height in [0.05, 0.5, 3.0] {
+        let corner = Vec3::Y * height;
+        let mut builder = SceneBuilder::new();
+        let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+        let floor = builder.mesh("floor", plate(Vec3::ZERO, Vec3::Z, Vec3::X, 10), gray);
+        builder.mesh("lid", plate(corner, Vec3::X, Vec3::Z, 1), gray);
+        builder.sky(Vec3::ONE);
+        let scene = builder.build();
+        let setup = Setup::new(&scene);
+        let receivers = receivers_in(&scene, floor, 3);
+        let results = setup.open(&receivers, &[Aov::Occlusion, Aov::IrradianceEnvironment]);
+        let sky = colors(&results, Aov::IrradianceEnvironment);
+        let lid = [
+            corner,
+            corner + Vec3::X,
+            corner + Vec3::X + Vec3::Z,
+            corner + Vec3::Z,
+        ];
+        for i in 0..receivers.len() {
+            let exact = polygon_irradiance(receivers.position[i], Vec3::Y, &lid);
+            let covered = exact / std::f64::consts::PI;
+            let occlusion = f64::from(values(&results, Aov::Occlusion)[i]);
+            assert!(
+                (occlusion - covered).abs() < 0.006,
+                "{height} {i}: {occlusion} {covered}"
+            );
+            assert!((sky[i].x - PI * (1.0 - values(&results, Aov::Occlusion)[i])).abs() < 1e-5);
+        }
+    }
+}
+
+#[test]
+fn all_points_of_a_bowl_see_the_same_share_of_the_sky() {
+    // Inside a sphere every point sees every part of it in proportion to its area: 1/2 is missing.
+    let mut builder = SceneBuilder::new();
+    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+    let side = Side::Inside;
+    let prim = builder.mesh("bowl", bowl(Vec3::ZERO, 1.0, FRAC_PI_2, 48, side), gray);
+    let scene = builder.build();
+    let setup = Setup::new(&scene);
+    let receivers = receivers_in(&scene, prim, 61);
+    let engine = RaysEngine::new(&setup.tracer, None, RaysSettings::default());
+    let dark = GatherScene {
+        lighting: None,
+        ..setup.gather_scene()
+    };
+    let aovs = [Aov::Visibility];
+    let results = gather(dark, &engine, &receivers, &aovs, &setup.diagnostics).expect("runs");
+    let visible = values(&results, Aov::Visibility);
+    let rms =
+        (visible.iter().map(|x| (x - 0.5).powi(2)).sum::<f32>() / visible.len() as f32).sqrt();
+    assert!(rms / 0.5 < 0.01, "{rms}");
+}
+
+#[test]
+fn the_estimate_is_of_the_size_of_the_true_error() {
+    let (scene, floor, wall) = wedge(FRAC_PI_2);
+    let setup = Setup::new(&scene);
+    let points: Vec<_> = (0..6400)
+        .map(|k: u16| {
+            let (triangle, place) = (k % 200, f32::from(k / 200) / 32.0);
+            (
+                floor,
+                u32::from(triangle),
+                0.05 + 0.4 * place,
+                0.05 + 0.3 * place,
+            )
+        })
+        .collect();
+    let receivers = receivers_at(&scene, &points);
+    let settings = RaysSettings {
+        rays: 64,
+        ..RaysSettings::default()
+    };
+    let engine = RaysEngine::new(&setup.tracer, None, settings);
+    let better = RaysEngine::new(&setup.tracer, None, settings.reference());
+    let dark = GatherScene {
+        lighting: None,
+        ..setup.gather_scene()
+    };
+    let results = gather(
+        dark,
+        &engine,
+        &receivers,
+        &[Aov::Visibility],
+        &setup.diagnostics,
+    )
+    .expect("runs");
+    let reference = Reference {
+        engine: &better,
+        cost: 4,
+        error_share: RaysSettings::REFERENCE_ERROR_SHARE,
+    };
+    let estimates =
+        estimate(dark, reference, &receivers, &results, &setup.diagnostics).expect("runs");
+    let (mut square, mut mean) = (0.0, 0.0);
+    for (value, position) in values(&results, Aov::Visibility)
+        .iter()
+        .zip(&receivers.position)
+    {
+        let exact = 1.0 - polygon_irradiance(*position, Vec3::Y, &wall) / std::f64::consts::PI;
+        square += (f64::from(*value) - exact).powi(2);
+        mean += exact;
+    }
+    let count = receivers.len() as f64;
+    let error = (square / count).sqrt() / (mean / count);
+    let estimated = estimates[0].relative_rmse;
+    assert!(
+        estimated > 0.7 * error && estimated < 1.4 * error,
+        "estimated {estimated}, true {error}"
+    );
+}
+
+#[test]
+fn results_are_the_same_bits_for_any_number_of_threads() {
+    let (scene, prim) = furnace(0.6);
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads can be started");
+        pool.install(|| {
+            let setup = Setup::new(&scene);
+            let baked = setup.bake(500);
+            let receivers = receivers_in(&scene, prim, 2);
+            let factory = RaysFactory {
+                tracer: &setup.tracer,
+                dice: &baked.dice,
+                settings: RaysSettings {
+                    rays: 32,
+                    ..RaysSettings::default()
+                },
+            };
+            let clouds = BounceClouds {
+                fine: &baked.cloud,
+                coarse: None,
+            };
+            let cloud = bounce(clouds, &factory, 2, &setup.diagnostics).expect("runs");
+            let aovs = [Aov::Irradiance, Aov::Occlusion, Aov::BentNormal, Aov::Color];
+            setup.lit((&baked, &cloud), &receivers, &aovs)
+        })
+    };
+    assert_eq!(run(1), run(5));
+}
+
+#[test]
+fn positions_far_from_the_world_origin_are_added_in_double_precision() {
+    let (mut scene, prim) = furnace(0.5);
+    scene.origin = DVec3::new(1e6, 0.0, 0.0);
+    let setup = Setup::new(&scene);
+    let receivers = receivers_in(&scene, prim, 97);
+    let results = setup.open(&receivers, &[Aov::Position, Aov::PrimId]);
+    for (world, local) in colors(&results, Aov::Position)
+        .iter()
+        .zip(&receivers.position)
+    {
+        assert_eq!(*world, (scene.origin + local.as_dvec3()).as_vec3());
+    }
+    assert!(values(&results, Aov::PrimId).iter().all(|&id| id == 0.0));
+}
