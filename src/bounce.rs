@@ -103,23 +103,29 @@ struct Step<'a> {
 impl Step<'_> {
     /// Irradiance at `receivers` from the light that `cloud` reflects.
     fn gather(&self, cloud: &SurfelCloud, receivers: &Receivers) -> Result<Vec<Vec3>, Cancelled> {
-        let engine = self.factory.engine(cloud);
         let mut irradiance = vec![Vec3::ZERO; receivers.len()];
+        let mut outcome = Ok(());
+        self.factory.with_engine(cloud, &mut |engine| {
+            outcome = self.fill_all(engine, receivers, &mut irradiance);
+        });
+        outcome.map(|()| irradiance)
+    }
+
+    fn fill_all(
+        &self,
+        engine: &dyn Engine,
+        receivers: &Receivers,
+        irradiance: &mut [Vec3],
+    ) -> Result<(), Cancelled> {
         irradiance
             .par_chunks_mut(gather::BLOCK)
             .enumerate()
             .try_for_each_init(Hemisphere::default, |scratch, (block, out)| {
                 self.diagnostics.check()?;
-                fill(
-                    engine.as_ref(),
-                    receivers,
-                    block * gather::BLOCK,
-                    (scratch, out),
-                );
+                fill(engine, receivers, block * gather::BLOCK, (scratch, out));
                 self.phase.advance(out.len() as u64);
                 Ok(())
-            })?;
-        Ok(irradiance)
+            })
     }
 
     /// Irradiance at the surfels of `fine`: that of the coarse cell each lies in, gathered from `lit` where it lies
@@ -242,8 +248,8 @@ mod tests {
     struct CubeFactory;
 
     impl EngineFactory for CubeFactory {
-        fn engine<'e>(&'e self, cloud: &'e SurfelCloud) -> Box<dyn Engine + 'e> {
-            Box::new(CubeEngine(cloud))
+        fn with_engine(&self, cloud: &SurfelCloud, work: &mut dyn FnMut(&dyn Engine)) {
+            work(&CubeEngine(cloud));
         }
     }
 

@@ -74,8 +74,8 @@ pub trait Engine: Sync + Debug {
 
 /// Makes an engine that reads light from a cloud; for `bounce`, whose clouds change from one iteration to the next.
 pub trait EngineFactory: Sync + Debug {
-    /// An engine over `cloud`.
-    fn engine<'e>(&'e self, cloud: &'e SurfelCloud) -> Box<dyn Engine + 'e>;
+    /// Make an engine over `cloud`, with whatever it stands on, and call `work` with it once.
+    fn with_engine(&self, cloud: &SurfelCloud, work: &mut dyn FnMut(&dyn Engine));
 }
 
 /// What a gather works with.

@@ -170,12 +170,10 @@ pub struct RaysFactory<'a> {
 }
 
 impl EngineFactory for RaysFactory<'_> {
-    fn engine<'e>(&'e self, cloud: &'e SurfelCloud) -> Box<dyn Engine + 'e> {
-        let source = RadianceSource::Baked {
-            cloud,
-            dice: self.dice,
-        };
-        Box::new(RaysEngine::new(self.tracer, Some(source), self.settings))
+    fn with_engine(&self, cloud: &SurfelCloud, work: &mut dyn FnMut(&dyn Engine)) {
+        let dice = self.dice;
+        let source = RadianceSource::Baked { cloud, dice };
+        work(&RaysEngine::new(self.tracer, Some(source), self.settings));
     }
 }
 
