@@ -1,0 +1,445 @@
+//! The tracer against brute force in `f64`, flattened instances, closed boxes and extreme scales.
+
+use super::*;
+use crate::scene::{FaceMaterials, MeshId, Normals, Prim, PrimSource, Purpose, StageInfo, UpAxis};
+use glam::{DVec3, Mat3};
+
+/// A reproducible uniform number in 0…1 (splitmix64).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> f32 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 40) as f32 / 16_777_216.0
+    }
+
+    fn vector(&mut self) -> Vec3 {
+        Vec3::new(self.next(), self.next(), self.next()) * 2.0 - 1.0
+    }
+
+    fn direction(&mut self) -> Vec3 {
+        loop {
+            let v = self.vector();
+            if v.length_squared() < 1.0 && v.length_squared() > 1e-4 {
+                return v.normalize();
+            }
+        }
+    }
+}
+
+pub(super) fn mesh(triangles: &[[Vec3; 3]]) -> Mesh {
+    Mesh {
+        positions: triangles.iter().flatten().copied().collect(),
+        triangles: (0..triangles.len() as u32)
+            .map(|t| [3 * t, 3 * t + 1, 3 * t + 2])
+            .collect(),
+        triangle_faces: (0..triangles.len() as u32).collect(),
+        normals: Normals::Flat,
+        primvars: Vec::new(),
+        double_sided: true,
+        closed: false,
+        cage: None,
+        scheme: "none".into(),
+    }
+}
+
+fn scene(meshes: Vec<Mesh>, prims: &[(u32, Affine3A)]) -> Scene {
+    let prims = prims.iter().map(|&(mesh, world_from_object)| Prim {
+        path: format!("/p{mesh}"),
+        mesh: MeshId(mesh),
+        world_from_object,
+        materials: FaceMaterials::Whole(None),
+        purpose: Purpose::Default,
+        source: PrimSource::Direct,
+    });
+    Scene {
+        stage: StageInfo {
+            path: "test".into(),
+            up_axis: UpAxis::Y,
+            meters_per_unit: 1.0,
+            default_prim: None,
+            time_range: None,
+            time_codes_per_second: 24.0,
+            time: None,
+            layers: Vec::new(),
+            reader: "test".into(),
+        },
+        origin: DVec3::ZERO,
+        meshes,
+        prims: prims.collect(),
+        materials: Vec::new(),
+        lights: Vec::new(),
+        cameras: Vec::new(),
+        render_settings: Vec::new(),
+    }
+}
+
+fn single(triangles: &[[Vec3; 3]]) -> Tracer {
+    Tracer::new(&scene(vec![mesh(triangles)], &[(0, Affine3A::IDENTITY)]))
+}
+
+fn soup(count: usize, size: f32, random: &mut Random) -> Vec<[Vec3; 3]> {
+    (0..count)
+        .map(|_| {
+            let center = random.vector();
+            [0; 3].map(|_| center + size * random.vector())
+        })
+        .collect()
+}
+
+/// Axis-aligned box of half size 1 about 0, `n × n` quads a side, normals outward, corners shared bit by bit.
+fn diced_box(n: usize) -> Vec<[Vec3; 3]> {
+    let at = |i: usize| 2.0 * i as f32 / n as f32 - 1.0;
+    let mut triangles = Vec::new();
+    for axis in 0..3 {
+        for side in [-1.0_f32, 1.0] {
+            for i in 0..n {
+                for j in 0..n {
+                    let corner = |a: usize, b: usize| {
+                        let mut p = [side; 3];
+                        p[(axis + 1) % 3] = at(a);
+                        p[(axis + 2) % 3] = at(b);
+                        Vec3::from(p)
+                    };
+                    let [a, b, c, d] = [
+                        corner(i, j),
+                        corner(i + 1, j),
+                        corner(i + 1, j + 1),
+                        corner(i, j + 1),
+                    ];
+                    if side > 0.0 {
+                        triangles.extend([[a, b, c], [a, c, d]]);
+                    } else {
+                        triangles.extend([[a, c, b], [a, d, c]]);
+                    }
+                }
+            }
+        }
+    }
+    triangles
+}
+
+/// Möller–Trumbore in `f64`: distance, distance of the hit to the triangle's edge in barycentrics, front.
+fn exact(triangle: &[Vec3; 3], origin: Vec3, direction: Vec3) -> Option<(f64, f64, bool)> {
+    let [a, b, c] = triangle.map(|p| p.as_dvec3());
+    let (o, d) = (origin.as_dvec3(), direction.as_dvec3());
+    let (e1, e2) = (b - a, c - a);
+    let p = d.cross(e2);
+    let det = e1.dot(p);
+    let s = o - a;
+    let u = s.dot(p) / det;
+    let q = s.cross(e1);
+    let v = d.dot(q) / det;
+    let t = e2.dot(q) / det;
+    let edge = u.min(v).min(1.0 - u - v);
+    (det != 0.0 && t > 0.0).then_some((t, edge, det > 0.0))
+}
+
+/// Compares with brute force; returns how many rays differ where the truth is not on an edge.
+fn differences(tracer: &Tracer, triangles: &[[Vec3; 3]], rays: &[(Vec3, Vec3)]) -> usize {
+    let mut count = 0;
+    for &(origin, direction) in rays {
+        let all: Vec<_> = (triangles.iter().enumerate())
+            .filter_map(|(i, t)| exact(t, origin, direction).map(|h| (i, h)))
+            .filter(|(_, h)| h.1 > -1e-5)
+            .collect();
+        if all.iter().any(|(_, h)| h.1.abs() <= 1e-5) {
+            continue;
+        }
+        let truth = all.iter().min_by(|a, b| a.1.0.total_cmp(&b.1.0));
+        let hit = tracer.closest(origin, direction, f32::INFINITY);
+        let is_same = match (truth, hit) {
+            (None, None) => true,
+            (Some((i, t)), Some(h)) => {
+                let near = (h.distance as f64 - t.0).abs() < 1e-5 * t.0.max(1e-3);
+                (h.triangle as usize == *i && h.front == t.2 && near)
+                    || all.iter().any(|(j, o)| {
+                        *j == h.triangle as usize
+                            && o.2 == h.front
+                            && (o.0 - t.0).abs() < 1e-6 * t.0
+                    })
+            }
+            _ => false,
+        };
+        let occluded = tracer.occluded(origin, direction, f32::INFINITY);
+        count += usize::from(!is_same || occluded != truth.is_some());
+    }
+    count
+}
+
+#[test]
+fn random_soups_agree_with_brute_force_at_any_scale() {
+    let mut random = Random(1);
+    for scale in [1e-4_f32, 1.0, 1e5] {
+        for (count, size) in [(1, 0.5), (3, 0.5), (700, 0.1), (300, 1.0)] {
+            let mut triangles = soup(count, size, &mut random);
+            triangles.push([Vec3::ONE * 0.1; 3]);
+            for p in triangles.iter_mut().flatten() {
+                *p *= scale;
+            }
+            let rays: Vec<_> = (0..1000)
+                .map(|_| (random.vector() * 1.5 * scale, random.direction()))
+                .collect();
+            let tracer = single(&triangles);
+            assert_eq!(
+                differences(&tracer, &triangles, &rays),
+                0,
+                "{scale} {count} {size}"
+            );
+        }
+    }
+}
+
+#[test]
+fn axis_aligned_rays_and_boxes_agree_with_brute_force() {
+    let mut random = Random(2);
+    let triangles = diced_box(8);
+    let tracer = single(&triangles);
+    let mut rays: Vec<_> = (0..1000)
+        .map(|_| (random.vector() * 2.0, random.direction()))
+        .collect();
+    for axis in [Vec3::X, Vec3::Y, Vec3::Z, -Vec3::X, -Vec3::Y, -Vec3::Z] {
+        rays.extend((0..100).map(|_| (random.vector() * 1.5, axis)));
+    }
+    assert_eq!(differences(&tracer, &triangles, &rays), 0);
+}
+
+#[test]
+fn a_closed_box_does_not_leak_through_faces_edges_or_vertices() {
+    let mut random = Random(3);
+    let turned = Mat3::from_rotation_y(0.7) * Mat3::from_rotation_x(0.3);
+    for matrix in [Mat3::IDENTITY, turned, turned * 1e-4] {
+        let triangles: Vec<_> = (diced_box(7).iter())
+            .map(|t| t.map(|p| matrix * p + matrix * Vec3::splat(0.3)))
+            .collect();
+        let tracer = single(&triangles);
+        for i in 0..350_000 {
+            let origin = matrix * (random.vector() * 0.99 + 0.3);
+            let triangle =
+                triangles[(random.next() * triangles.len() as f32) as usize % triangles.len()];
+            let target = match i % 3 {
+                0 => triangle[0],
+                1 => triangle[0].lerp(triangle[1], random.next()),
+                _ => origin + matrix * random.direction(),
+            };
+            let direction = (target - origin).normalize();
+            let hit = tracer.closest(origin, direction, f32::INFINITY);
+            assert!(hit.is_some_and(|hit| !hit.front), "{origin} {direction}");
+            assert!(tracer.occluded(origin, direction, f32::INFINITY));
+        }
+    }
+}
+
+#[test]
+fn instances_agree_with_their_flattened_copies_mirrored_and_sheared() {
+    let mut random = Random(4);
+    let triangles = soup(60, 0.3, &mut random);
+    let second = soup(40, 0.3, &mut random);
+    let transforms: Vec<Affine3A> = (0..30)
+        .map(|i| {
+            let mut linear =
+                Mat3::from_cols(random.vector(), random.vector(), random.vector()) * 0.4;
+            if i % 2 == 0 {
+                linear.x_axis = -linear.x_axis;
+            }
+            Affine3A::from_mat3_translation(linear, random.vector() * 2.0)
+        })
+        .filter(|t| t.matrix3.determinant().abs() > 1e-3)
+        .collect();
+    let mut prims: Vec<_> = transforms.iter().map(|t| (0, *t)).collect();
+    prims.push((1, Affine3A::IDENTITY));
+    let tracer = Tracer::new(&scene(vec![mesh(&triangles), mesh(&second)], &prims));
+    let mut flat = Vec::new();
+    for (mesh, transform) in &prims {
+        for t in if *mesh == 0 { &triangles } else { &second } {
+            flat.push(t.map(|p| transform.transform_point3(p)));
+        }
+    }
+    let flattened = single(&flat);
+    let mut differing = 0;
+    for _ in 0..20_000 {
+        let (origin, direction) = (random.vector() * 3.0, random.direction());
+        let a = tracer.closest(origin, direction, f32::INFINITY);
+        let b = flattened.closest(origin, direction, f32::INFINITY);
+        let is_same = match (a, b) {
+            (None, None) => true,
+            (Some(a), Some(b)) => {
+                let first = |prim: usize| {
+                    if prim < transforms.len() {
+                        prim * 60
+                    } else {
+                        transforms.len() * 60
+                    }
+                };
+                let prim = a.prim.index();
+                let mirrored = prims[prim].1.matrix3.determinant() < 0.0;
+                first(prim) + a.triangle as usize == b.triangle as usize
+                    && (a.distance - b.distance).abs() < 1e-4 * b.distance.max(0.1)
+                    && (a.front == b.front) != mirrored
+            }
+            _ => false,
+        };
+        differing += usize::from(!is_same);
+        assert_eq!(
+            tracer.occluded(origin, direction, f32::INFINITY),
+            a.is_some()
+        );
+    }
+    assert!(
+        differing <= 4,
+        "{differing} of 20000 rays differ (rounding at edges only)"
+    );
+}
+
+#[test]
+fn barycentrics_give_the_hit_point() {
+    let triangle = [Vec3::ZERO, Vec3::X, Vec3::Y];
+    let tracer = single(&[triangle]);
+    let hit = tracer
+        .closest(Vec3::new(0.2, 0.3, 2.0), -Vec3::Z, 3.0)
+        .unwrap();
+    assert!((hit.u - 0.2).abs() < 1e-6 && (hit.v - 0.3).abs() < 1e-6 && hit.front);
+    assert_eq!(hit.distance, 2.0);
+    assert!(
+        tracer
+            .closest(Vec3::new(0.2, 0.3, 2.0), -Vec3::Z, 2.0)
+            .is_none()
+    );
+    let behind = tracer
+        .closest(Vec3::new(0.2, 0.3, -2.0), Vec3::Z, 3.0)
+        .unwrap();
+    assert!(!behind.front);
+}
+
+#[test]
+fn nothing_is_hit_in_empty_scenes_or_by_rays_that_are_not_numbers() {
+    let empty = Tracer::new(&scene(Vec::new(), &[]));
+    assert!(empty.closest(Vec3::ZERO, Vec3::X, f32::INFINITY).is_none());
+    assert!(!empty.occluded(Vec3::ZERO, Vec3::X, f32::INFINITY));
+    let no_triangles = single(&[]);
+    assert!(!no_triangles.occluded(Vec3::ZERO, Vec3::X, f32::INFINITY));
+    let tracer = single(&diced_box(2));
+    for direction in [Vec3::NAN, Vec3::ZERO, Vec3::INFINITY] {
+        assert!(
+            tracer
+                .closest(Vec3::ZERO, direction, f32::INFINITY)
+                .is_none()
+        );
+        assert!(!tracer.occluded(Vec3::ZERO, direction, f32::INFINITY));
+    }
+    assert!(tracer.closest(Vec3::NAN, Vec3::X, f32::INFINITY).is_none());
+    assert!(tracer.closest(Vec3::ZERO, Vec3::X, f32::NAN).is_none());
+    assert!(tracer.closest(Vec3::ZERO, Vec3::X, 0.0).is_none());
+    let flat = [Affine3A::from_scale(Vec3::new(1.0, 0.0, 1.0)); 2];
+    let collapsed = Tracer::new(&scene(
+        vec![mesh(&diced_box(1))],
+        &[(0, flat[0]), (0, flat[1])],
+    ));
+    assert!(!collapsed.occluded(Vec3::splat(0.1), Vec3::X, f32::INFINITY));
+}
+
+#[test]
+fn a_hundred_thousand_coincident_triangles_build_and_are_hit() {
+    let triangles = vec![[Vec3::ZERO, Vec3::X, Vec3::Y]; 100_000];
+    let tracer = single(&triangles);
+    assert!(tracer.occluded(Vec3::new(0.2, 0.2, 1.0), -Vec3::Z, 2.0));
+    assert!(!tracer.occluded(Vec3::new(0.9, 0.9, 1.0), -Vec3::Z, 2.0));
+}
+
+#[test]
+fn lifted_points_see_a_contact_of_1e_4_but_not_their_own_surface() {
+    let mut random = Random(5);
+    for matrix in [
+        Mat3::IDENTITY,
+        Mat3::from_rotation_z(0.4) * Mat3::from_rotation_x(1.1),
+    ] {
+        for scale in [1e-4_f32, 1.0, 1e5] {
+            let quad = |height: f32| {
+                let at = |x: f32, z: f32| scale * (matrix * (Vec3::new(x, height, z) + 0.5));
+                let [a, b, c, d] = [at(-0.5, -0.5), at(-0.5, 0.5), at(0.5, 0.5), at(0.5, -0.5)];
+                [[a, b, c], [a, c, d]]
+            };
+            let (ground, sheet) = (quad(0.0), quad(1e-4));
+            let (alone, both) = (single(&ground), single(&[ground, sheet].concat()));
+            let normal = matrix * Vec3::Y;
+            for _ in 0..20_000 {
+                let (u, v) = (random.next() * 0.49, random.next() * 0.49);
+                let [a, b, c] = ground[0];
+                let position = a + (b - a) * u + (c - a) * v;
+                let mut direction = random.direction();
+                if direction.dot(normal) < 0.0 {
+                    direction = -direction;
+                }
+                let origin = alone.lift(position, normal);
+                assert!(!alone.occluded(origin, direction, f32::INFINITY));
+                assert!(both.occluded(both.lift(position, normal), normal, 1e-3 * scale));
+            }
+        }
+    }
+}
+
+#[test]
+fn the_same_tree_is_built_by_one_and_by_many_threads() {
+    let triangles = soup(30_000, 0.02, &mut Random(6));
+    let build = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| single(&triangles)).world.triangles.tree
+    };
+    assert!(build(1) == build(5));
+}
+
+/// Not a check: prints Mray/s of one thread for closest hits and occlusion.
+#[test]
+#[ignore = "measures speed: cargo test --release --lib trace:: -- --ignored --nocapture"]
+#[expect(clippy::print_stdout, reason = "prints what it measures")]
+fn measure_rays_per_second() {
+    let ball: Vec<_> = (diced_box(300).iter())
+        .map(|t| {
+            t.map(|p| {
+                let n = p.normalize();
+                n * (1.0 + 0.02 * ((40.0 * n.x).sin() * (37.0 * n.y).sin() + (91.0 * n.z).sin()))
+            })
+        })
+        .collect();
+    let room = diced_box(290);
+    for (name, triangles, inside) in [("box", room, true), ("ball", ball, false)] {
+        let start = std::time::Instant::now();
+        let tracer = single(&triangles);
+        let build = start.elapsed().as_secs_f64();
+        let mut random = Random(7);
+        let rays: Vec<_> = (0..300_000)
+            .map(|_| {
+                let t =
+                    triangles[(random.next() * triangles.len() as f32) as usize % triangles.len()];
+                let mut n = (t[1] - t[0]).cross(t[2] - t[0]).normalize();
+                n = if inside { -n } else { n };
+                let origin = tracer.lift((t[0] + t[1] + t[2]) / 3.0, n);
+                (origin, (n + random.direction()).normalize())
+            })
+            .collect();
+        let start = std::time::Instant::now();
+        let hits = rays
+            .iter()
+            .filter(|r| tracer.closest(r.0, r.1, f32::INFINITY).is_some())
+            .count();
+        let closest = rays.len() as f64 / start.elapsed().as_secs_f64() * 1e-6;
+        let start = std::time::Instant::now();
+        let limit = if inside { 1.0 } else { f32::INFINITY };
+        let blocked = rays
+            .iter()
+            .filter(|r| tracer.occluded(r.0, r.1, limit))
+            .count();
+        let occluded = rays.len() as f64 / start.elapsed().as_secs_f64() * 1e-6;
+        println!(
+            "{name}: {} triangles, build {build:.2} s, {} B/triangle, closest {closest:.2} Mray/s ({hits}), occluded {occluded:.2} Mray/s ({blocked})",
+            triangles.len(),
+            tracer.bytes() / triangles.len()
+        );
+    }
+}
