@@ -226,9 +226,11 @@ impl Dicing {
         if !(area > 0.0 && area.is_finite()) {
             return Self::Nothing;
         }
-        let by_length = |a: &usize, b: &usize| lengths[*a].total_cmp(&lengths[*b]);
-        let shortest = (0..3).min_by(by_length).expect("three edges");
-        let longest = (0..3).max_by(by_length).expect("three edges");
+        let pick = |a: usize, b: usize, take_b: bool| if take_b { b } else { a };
+        let shorter = |a: usize, b: usize| pick(a, b, lengths[b] < lengths[a]);
+        let longer = |a: usize, b: usize| pick(a, b, lengths[b] > lengths[a]);
+        let shortest = shorter(shorter(0, 1), 2);
+        let longest = longer(longer(0, 1), 2);
         if lengths[longest] <= WHOLE_BELOW * spacing {
             return Self::Whole;
         }
