@@ -1,5 +1,9 @@
 //! Scene → [`Receivers`]: where light is to be computed. Pixels of a camera, points of meshes, surfels.
 
+pub mod primvar;
+pub mod surfel;
+mod world;
+
 use crate::results::Target;
 use crate::shading::SurfacePoint;
 use glam::{DVec3, Vec3};

@@ -2,8 +2,9 @@
 
 pub mod dice_map;
 pub mod nearest;
+pub mod triangle_dice;
 
-pub use dice_map::DiceMap;
+pub use dice_map::{DiceMap, PrimDice, Sides};
 pub use nearest::NearestMap;
 
 use glam::{DVec3, Vec3};
