@@ -7,10 +7,7 @@
 use crate::bake::Baked;
 use crate::diagnostics::{Cancelled, Diagnostics, Phase};
 use crate::gather::{self, Engine, EngineFactory, Hemisphere, quantities::irradiance};
-use crate::receivers::Receivers;
-use crate::results::Target;
-use crate::scene::PrimId;
-use crate::shading::SurfacePoint;
+use crate::receivers::{Receivers, surfel};
 use crate::surfels::SurfelCloud;
 use crate::trace::Tracer;
 use glam::Vec3;
@@ -68,7 +65,7 @@ pub fn bounce(
     if gathers == 0 || cloud.is_empty() {
         return Ok(fine.clone());
     }
-    let receivers = receivers_on(cloud);
+    let receivers = surfel::place(cloud);
     let phase = diagnostics.phase("bounce", "surfels", cloud.len() as u64 * u64::from(gathers));
     let step = Step {
         factory,
@@ -138,7 +135,7 @@ impl Step<'_> {
         lit: &SurfelCloud,
     ) -> Result<Vec<Vec3>, Cancelled> {
         let lost: Vec<usize> = (0..cells.len()).filter(|&i| cells[i].is_none()).collect();
-        let gathered = self.gather(lit, &receivers_among(fine, &lost))?;
+        let gathered = self.gather(lit, &surfel::place(fine).subset(&lost))?;
         let mut irradiance: Vec<Vec3> = cells
             .iter()
             .map(|cell| cell.map_or(Vec3::ZERO, |cell| coarse_irradiance[cell as usize]))
@@ -171,35 +168,6 @@ fn reflect(cloud: &SurfelCloud, irradiance: &[Vec3]) -> SurfelCloud {
     SurfelCloud {
         radiosity,
         ..cloud.clone()
-    }
-}
-
-/// All surfels as receivers.
-fn receivers_on(cloud: &SurfelCloud) -> Receivers {
-    receivers_among(cloud, &(0..cloud.len()).collect::<Vec<_>>())
-}
-
-/// The surfels `picked` as receivers. Surfels are flat and know no triangle: their surface points only name the prim,
-/// and stand for the middle of one.
-fn receivers_among(cloud: &SurfelCloud, picked: &[usize]) -> Receivers {
-    const MIDDLE: f32 = 1.0 / 3.0;
-    let surface = |&i: &usize| SurfacePoint {
-        prim: PrimId(cloud.prim[i]),
-        triangle: 0,
-        u: MIDDLE,
-        v: MIDDLE,
-        footprint: 2.0 * cloud.radius[i],
-    };
-    let normal: Vec<Vec3> = picked.iter().map(|&i| cloud.normal[i]).collect();
-    Receivers {
-        origin: cloud.origin,
-        position: picked.iter().map(|&i| cloud.position[i]).collect(),
-        geometric_normal: normal.clone(),
-        normal,
-        prim: picked.iter().map(|&i| cloud.prim[i]).collect(),
-        surface: picked.iter().map(surface).collect(),
-        depth: Vec::new(),
-        target: Target::Surfels,
     }
 }
 

@@ -11,7 +11,7 @@ use scenes::{
 use std::f32::consts::{FRAC_PI_2, PI};
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::bounce::{BounceClouds, CoarseCloud, bounce};
-use surflux::diagnostics::Diagnostics;
+use surflux::diagnostics::{Cancelled, Diagnostics};
 use surflux::gather::estimate::Reference;
 use surflux::gather::{
     GatherScene, RadianceSource, RaysEngine, RaysFactory, RaysSettings, estimate, gather,
@@ -134,10 +134,7 @@ fn white_furnace_gives_the_geometric_series() {
     let factory = RaysFactory {
         tracer: &setup.tracer,
         dice: &baked.dice,
-        settings: RaysSettings {
-            rays: 128,
-            ..RaysSettings::default()
-        },
+        settings: RaysSettings::SURFEL,
     };
     for bounces in [1, 2, 12] {
         let clouds = BounceClouds {
@@ -165,10 +162,7 @@ fn a_coarser_cloud_bounces_the_same_light() {
     let factory = RaysFactory {
         tracer: &setup.tracer,
         dice: &coarse.dice,
-        settings: RaysSettings {
-            rays: 128,
-            ..RaysSettings::default()
-        },
+        settings: RaysSettings::SURFEL,
     };
     let clouds = BounceClouds {
         fine: &fine.cloud,
@@ -427,11 +421,39 @@ fn results_are_the_same_bits_for_any_number_of_threads() {
 }
 
 #[test]
+fn a_cancelled_gather_ends_without_results() {
+    let (scene, prim) = furnace(0.6);
+    let setup = Setup::new(&scene);
+    let receivers = receivers_in(&scene, prim, 50);
+    let engine = RaysEngine::new(&setup.tracer, None, RaysSettings::default());
+    setup.diagnostics.cancel_token().cancel();
+    let outcome = gather(
+        setup.gather_scene(),
+        &engine,
+        &receivers,
+        &[Aov::Occlusion],
+        &setup.diagnostics,
+    );
+    assert_eq!(outcome, Err(Cancelled));
+}
+
+#[test]
+fn no_receivers_and_no_aovs_give_empty_results() {
+    let (scene, prim) = furnace(0.6);
+    let setup = Setup::new(&scene);
+    let none = receivers_at(&scene, &[]);
+    let results = setup.open(&none, &[Aov::Occlusion, Aov::Normal]);
+    assert!(results.buffers.iter().all(|buffer| buffer.data.is_empty()));
+    let some = receivers_in(&scene, prim, 50);
+    assert!(setup.open(&some, &[]).buffers.is_empty());
+}
+
+#[test]
 fn positions_far_from_the_world_origin_are_added_in_double_precision() {
     let (mut scene, prim) = furnace(0.5);
     scene.origin = DVec3::new(1e6, 0.0, 0.0);
     let setup = Setup::new(&scene);
-    let receivers = receivers_in(&scene, prim, 97);
+    let receivers = receivers_in(&scene, prim, 2);
     let results = setup.open(&receivers, &[Aov::Position, Aov::PrimId]);
     for (world, local) in colors(&results, Aov::Position)
         .iter()

@@ -5,8 +5,9 @@
 
 use super::{Engine, GatherScene, gather};
 use crate::diagnostics::{Cancelled, Diagnostics};
+use crate::math::sequence;
 use crate::receivers::Receivers;
-use crate::results::{Aov, Results, Target};
+use crate::results::{Aov, Results};
 
 /// Error of one AOV over the receivers of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,7 +44,7 @@ const SHARE_OF_RUN: usize = 10;
 /// Estimate the error of `results` for each AOV whose value depends on the hemisphere, in order; empty when the run is
 /// too small for a tenth of its cost to buy an estimate.
 ///
-/// Method: evenly spaced receivers (at most 256) are gathered again by the reference. Run and reference err
+/// Method: receivers spread over the run (at most 256) are gathered again by the reference. Run and reference err
 /// independently, so the expected square of their difference is the sum of both squares, and the run's part of it is
 /// 1/(1 + error share).
 ///
@@ -61,51 +62,48 @@ pub fn estimate(
     if picked.is_empty() || aovs.is_empty() {
         return Ok(Vec::new());
     }
-    let subset = subset(receivers, &picked);
-    let truth = gather(scene, reference.engine, &subset, &aovs, diagnostics)?;
+    let few = receivers.subset(&picked);
+    let truth = gather(scene, reference.engine, &few, &aovs, diagnostics)?;
     Ok(compare(results, &truth, &picked, reference.error_share))
 }
 
-/// AOVs of `results` that a better look at the hemisphere can change.
+/// AOVs of `results` that a better look at the hemisphere can change. Not the bent normal: where next to nothing is
+/// open a single ray decides its direction, so that its error says nothing that the visibility's does not say better.
 fn measured(results: &Results) -> Vec<Aov> {
     results
         .buffers
         .iter()
         .map(|buffer| buffer.aov)
-        .filter(|aov| aov.needs_hemisphere())
+        .filter(|&aov| aov.needs_hemisphere() && aov != Aov::BentNormal)
         .collect()
 }
 
-/// Indices of evenly spaced receivers out of `count`, as many as the budget allows; empty below [`FEWEST`].
+/// Indices of receivers spread over all `count`, as many as the budget allows; empty below [`FEWEST`]. One from each of
+/// equal runs, at golden-ratio places: equal steps would fall into step with the rows of a grid.
 fn pick(count: usize, cost: u32) -> Vec<usize> {
     let affordable = count / (SHARE_OF_RUN * (cost.max(1) as usize));
     let picks = affordable.min(MOST);
     if picks < FEWEST {
         return Vec::new();
     }
+    let run = count / picks;
     (0..picks)
-        .map(|k| (2 * k + 1) * count / (2 * picks))
+        .zip(0..)
+        .map(|(k, point)| {
+            let place = sequence::fibonacci(point, 1).y;
+            k * count / picks + at_fraction(place, run)
+        })
         .collect()
 }
 
-/// The receivers `picked`, as receivers of their own.
-fn subset(receivers: &Receivers, picked: &[usize]) -> Receivers {
-    fn take<T: Copy>(column: &[T], picked: &[usize]) -> Vec<T> {
-        picked
-            .iter()
-            .filter_map(|&i| column.get(i).copied())
-            .collect()
-    }
-    Receivers {
-        origin: receivers.origin,
-        position: take(&receivers.position, picked),
-        normal: take(&receivers.normal, picked),
-        geometric_normal: take(&receivers.geometric_normal, picked),
-        prim: take(&receivers.prim, picked),
-        surface: take(&receivers.surface, picked),
-        depth: take(&receivers.depth, picked),
-        target: Target::Surfels,
-    }
+/// The index at `fraction` (0…1) of `count`.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "rounded down on purpose, at least 0, below count"
+)]
+fn at_fraction(fraction: f32, count: usize) -> usize {
+    ((f64::from(fraction) * count as f64) as usize).min(count.saturating_sub(1))
 }
 
 fn compare(
@@ -155,10 +153,8 @@ fn relative_rmse(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::receivers_at;
     use super::*;
     use crate::results::AovBuffer;
-    use glam::Vec3;
 
     fn one(aov: Aov, data: Vec<f32>) -> Results {
         Results {
@@ -195,7 +191,5 @@ mod tests {
         assert_eq!(many.len(), 256);
         assert!(many[0] < 4000 && many[255] > 996_000 && many[255] < 1_000_000);
         assert!(many.windows(2).all(|pair| pair[0] < pair[1]));
-        let receivers = receivers_at(&[(Vec3::X, Vec3::Y), (Vec3::Z, Vec3::Y)]);
-        assert_eq!(subset(&receivers, &[1]).position, [Vec3::Z]);
     }
 }

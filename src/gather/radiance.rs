@@ -91,3 +91,72 @@ impl RadianceSource<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::PrimId;
+    use std::f32::consts::PI;
+
+    /// A sheet at the cloud's origin: its upper side reflects 1 and emits 2, its lower side reflects 5 (radiances).
+    fn sheet(origin: DVec3) -> SurfelCloud {
+        SurfelCloud {
+            origin,
+            position: vec![Vec3::ZERO; 2],
+            normal: vec![Vec3::Y, -Vec3::Y],
+            radius: vec![0.1; 2],
+            area: vec![0.01; 2],
+            radiosity: vec![Vec3::splat(3.0 * PI), Vec3::splat(5.0 * PI)],
+            albedo: vec![Vec3::ONE; 2],
+            emission: vec![Vec3::splat(2.0 * PI), Vec3::ZERO],
+            prim: vec![0; 2],
+            ..SurfelCloud::default()
+        }
+    }
+
+    fn hit(distance: f32) -> Hit {
+        Hit {
+            distance,
+            prim: PrimId(0),
+            triangle: 0,
+            u: 0.3,
+            v: 0.3,
+            front: true,
+        }
+    }
+
+    #[test]
+    fn rays_read_the_side_they_meet_wherever_the_cloud_has_its_origin() {
+        let scene_origin = DVec3::new(1e6, 5.0, 0.0);
+        let cloud = sheet(scene_origin + DVec3::new(3.0, 0.0, 0.0));
+        let source = RadianceSource::Loaded(vec![LoadedCloud::new(&cloud, scene_origin)]);
+        let above = source.radiance(&hit(2.0), Vec3::new(3.0, 2.0, 0.0), -Vec3::Y);
+        assert!(above.reflected.abs_diff_eq(Vec3::splat(1.0), 1e-5));
+        assert!(above.emitted.abs_diff_eq(Vec3::splat(2.0), 1e-5));
+        let below = source.radiance(&hit(1.0), Vec3::new(3.0, -1.0, 0.0), Vec3::Y);
+        assert!(below.reflected.abs_diff_eq(Vec3::splat(5.0), 1e-5));
+        assert_eq!(below.emitted, Vec3::ZERO);
+        let beside = source.radiance(&hit(2.0), Vec3::new(4.0, 2.0, 0.0), -Vec3::Y);
+        assert_eq!(beside, Outgoing::BLACK);
+    }
+
+    #[test]
+    fn light_of_several_clouds_adds_up_and_none_is_black() {
+        let cloud = sheet(DVec3::ZERO);
+        let twice = RadianceSource::Loaded(vec![
+            LoadedCloud::new(&cloud, DVec3::ZERO),
+            LoadedCloud::new(&cloud, DVec3::ZERO),
+        ]);
+        let seen = twice.radiance(&hit(1.0), Vec3::Y, -Vec3::Y);
+        assert!(seen.reflected.abs_diff_eq(Vec3::splat(2.0), 1e-5));
+        let dice = DiceMap::default();
+        let nothing = RadianceSource::Baked {
+            cloud: &cloud,
+            dice: &dice,
+        };
+        assert_eq!(
+            nothing.radiance(&hit(1.0), Vec3::Y, -Vec3::Y),
+            Outgoing::BLACK
+        );
+    }
+}

@@ -39,4 +39,53 @@ impl Receivers {
     pub fn is_empty(&self) -> bool {
         self.position.is_empty()
     }
+
+    /// The receivers `picked`, in that order, as receivers of their own; their target is forgotten (one value each).
+    ///
+    /// # Panics
+    /// If an index is not below [`Self::len`].
+    #[must_use]
+    pub fn subset(&self, picked: &[usize]) -> Self {
+        fn take<T: Copy>(column: &[T], picked: &[usize]) -> Vec<T> {
+            picked.iter().map(|&i| column[i]).collect()
+        }
+        let depth = if self.depth.is_empty() {
+            Vec::new()
+        } else {
+            take(&self.depth, picked)
+        };
+        Self {
+            origin: self.origin,
+            position: take(&self.position, picked),
+            normal: take(&self.normal, picked),
+            geometric_normal: take(&self.geometric_normal, picked),
+            prim: take(&self.prim, picked),
+            surface: take(&self.surface, picked),
+            depth,
+            target: Target::Surfels,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surfels::SurfelCloud;
+
+    #[test]
+    fn a_subset_keeps_order_and_all_columns() {
+        let all = surfel::place(&SurfelCloud {
+            position: vec![Vec3::X, Vec3::Y, Vec3::Z],
+            normal: vec![Vec3::Z; 3],
+            area: vec![1.0, 4.0, 9.0],
+            prim: vec![0, 1, 2],
+            ..SurfelCloud::default()
+        });
+        let few = all.subset(&[2, 0]);
+        assert_eq!(few.position, [Vec3::Z, Vec3::X]);
+        assert_eq!(few.prim, [2, 0]);
+        assert_eq!(few.surface[0].footprint, 3.0);
+        assert!(few.depth.is_empty() && few.len() == 2);
+        assert!(all.subset(&[]).is_empty());
+    }
 }
