@@ -265,16 +265,22 @@ fn plates_at_an_angle_cover_and_light_each_other_by_their_configuration_factors(
         for (i, factor) in factor.iter().enumerate() {
             let occlusion = f64::from(values(&results, Aov::Occlusion)[i]);
             let covered = factor / std::f64::consts::PI;
-            // 1024 rays cross at most four sides of a square: measured below 0.4 %.
+            // A handful of 1024 rays may fall on the wrong side of the outline.
             assert!(
-                (occlusion - covered).abs() < 0.006,
+                (occlusion - covered).abs() < 0.01,
                 "{angle} {i}: {occlusion} {covered}"
             );
         }
+        let seen = values(&results, Aov::Occlusion).iter().zip(&factor);
+        let error = relative_rmse(seen.map(|(&occlusion, factor)| {
+            let covered = factor / std::f64::consts::PI;
+            (1.0 - f64::from(occlusion), 1.0 - covered)
+        }));
+        assert!(error < 0.005, "visibility at {angle}: {error}");
         let direct = colors(&results, Aov::IrradianceDirect);
         let pairs = direct.iter().zip(&factor);
         let error = relative_rmse(pairs.map(|(e, factor)| (f64::from(e.x), 3.0 * factor)));
-        assert!(error < 0.02, "{angle}: {error}");
+        assert!(error < 0.02, "irradiance at {angle}: {error}");
     }
 }
 
@@ -314,7 +320,7 @@ fn parallel_plates_cover_each_other_by_their_configuration_factor() {
             let covered = exact / std::f64::consts::PI;
             let occlusion = f64::from(values(&results, Aov::Occlusion)[i]);
             assert!(
-                (occlusion - covered).abs() < 0.006,
+                (occlusion - covered).abs() < 0.01,
                 "{height} {i}: {occlusion} {covered}"
             );
             assert!((sky.x - PI * (1.0 - values(&results, Aov::Occlusion)[i])).abs() < 1e-5);
