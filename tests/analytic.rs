@@ -12,9 +12,9 @@ use std::f32::consts::{FRAC_PI_2, PI};
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::bounce::{BounceClouds, CoarseCloud, bounce};
 use surflux::diagnostics::{Cancelled, Diagnostics};
-use surflux::gather::estimate::Reference;
+
 use surflux::gather::{
-    GatherScene, RadianceSource, RaysEngine, RaysFactory, RaysSettings, estimate, gather,
+    GatherScene, RadianceSource, RaysEngine, RaysFactory, RaysSettings, Reference, estimate, gather,
 };
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::math::Bounds3;

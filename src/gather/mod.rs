@@ -10,7 +10,7 @@ pub mod rays;
 #[cfg(test)]
 mod testing;
 
-pub use estimate::{ErrorEstimate, estimate};
+pub use estimate::{ErrorEstimate, Reference, estimate};
 pub use radiance::{LoadedCloud, RadianceSource};
 pub use rays::{RaysEngine, RaysFactory, RaysSettings};
 

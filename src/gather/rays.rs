@@ -21,7 +21,7 @@ use std::ops::Range;
 /// How receivers are sampled by rays.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RaysSettings {
-    /// Rays a receiver, at least 1.
+    /// Rays a receiver; 0 counts as 1.
     pub rays: u32,
     /// Nothing beyond this distance, stage units, covers or lights; `None` = no limit.
     pub max_distance: Option<f32>,

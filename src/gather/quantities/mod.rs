@@ -1,7 +1,7 @@
 //! What is read off a receiver's hemisphere and light: one value an AOV. PBGI §6.2, §8.5, §8.7.
 //!
 //! The set of AOVs is closed (they are the tool's vocabulary), so this is a match and not a trait: a new variant of
-//! [`Aov`] does not compile until [`write`] says which function of which file here computes it.
+//! [`Aov`] does not compile until [`fn@write`] says which function of which file here computes it.
 
 pub mod bent_normal;
 pub mod diffuse;
