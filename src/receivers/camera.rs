@@ -356,6 +356,7 @@ mod tests {
     }
 
     /// First hit by trying all triangles, in f64.
+    #[expect(clippy::cast_possible_truncation, reason = "rounded to f32")]
     fn cast(scene: &Scene, origin: Vec3, direction: Vec3, length: f32) -> Option<Hit> {
         let mut best: Option<Hit> = None;
         for (id, prim) in (0..).zip(&scene.prims) {
@@ -611,10 +612,10 @@ mod tests {
         for n in 1..6 {
             for axis in 0..2 {
                 let mut columns: Vec<_> = (0..n * n)
-                    .map(|i| (place_of_sample(i, n)[axis] * f64::from(n * n)) as u32)
+                    .map(|i| (place_of_sample(i, n)[axis] * f64::from(n * n)).floor())
                     .collect();
-                columns.sort_unstable();
-                assert_eq!(columns, (0..n * n).collect::<Vec<_>>());
+                columns.sort_unstable_by(f64::total_cmp);
+                assert_eq!(columns, (0..n * n).map(f64::from).collect::<Vec<_>>());
             }
         }
         assert_eq!(place_of_sample(0, 1), [0.5, 0.5]);

@@ -1,6 +1,6 @@
-//! UsdGeomCamera → image plane: from pixels to rays and back.
+//! USD's camera → image plane: from pixels to rays and back.
 //!
-//! As GfCamera and UsdRender have it: apertures and focal length share a unit, tenths of a stage unit, which cancels
+//! As `GfCamera` and UsdRender have it: apertures and focal length share a unit, tenths of a stage unit, which cancels
 //! for a perspective camera; the filmback is conformed to the image by `aspectRatioConformPolicy` about its own
 //! (offset) center.
 
