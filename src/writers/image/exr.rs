@@ -347,6 +347,7 @@ mod tests {
     }
 
     /// Run `script` on `path` where the environment names a Python with OpenEXR and OpenImageIO.
+    #[expect(clippy::print_stderr, reason = "a skipped test says so")]
     fn check_in_python(path: &Path, script: &str) {
         let Some(python) = std::env::var_os("SURFLUX_TEST_PYTHON") else {
             eprintln!("skipped: SURFLUX_TEST_PYTHON names no Python with OpenEXR and OpenImageIO");
