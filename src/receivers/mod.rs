@@ -1,5 +1,7 @@
 //! Scene → [`Receivers`]: where light is to be computed. Pixels of a camera, points of meshes, surfels.
 
+pub mod camera;
+pub mod lens;
 pub mod primvar;
 pub mod surfel;
 mod world;

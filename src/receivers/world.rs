@@ -6,7 +6,6 @@ use glam::{Affine3A, Mat3, Vec3};
 /// A prim's mesh, placed in the world (relative to the scene's origin).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct WorldPrim<'a> {
-    pub(super) prim: &'a Prim,
     pub(super) mesh: &'a Mesh,
     world_from_object: Affine3A,
     /// To unnormalized world normals on the side of the object's: the cofactors, which exist for any matrix.
@@ -24,7 +23,6 @@ impl<'a> WorldPrim<'a> {
             1.0
         };
         Self {
-            prim,
             mesh: scene.mesh_of(prim),
             world_from_object: prim.world_from_object,
             world_normal_from_object: Mat3::from_cols(cofactors[0], cofactors[1], cofactors[2])

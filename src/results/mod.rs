@@ -1,8 +1,10 @@
 //! What a gather delivers: one buffer an AOV, one value a receiver, and where the values go.
 
 pub mod aov;
+pub mod resolve;
 
 pub use aov::{Aov, ValueType};
+pub use resolve::{AovImage, resolve};
 
 use crate::scene::PrimId;
 

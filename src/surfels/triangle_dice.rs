@@ -221,20 +221,21 @@ impl Dicing {
         let spacing = f64::from(spacing);
         // Edge k lies opposite corner k.
         let edge = |k: usize| p[(k + 2) % 3] - p[(k + 1) % 3];
-        let lengths = [0, 1, 2].map(|k| edge(k).length());
-        let area = 0.5 * edge(2).cross(edge(0)).length();
-        if !(area > 0.0 && area.is_finite()) {
+        let squares = [0, 1, 2].map(|k| edge(k).length_squared());
+        let cross = edge(2).cross(edge(0));
+        if !(cross.length_squared() > 0.0 && cross.length_squared().is_finite()) {
             return Self::Nothing;
         }
         let pick = |a: usize, b: usize, take_b: bool| if take_b { b } else { a };
-        let shorter = |a: usize, b: usize| pick(a, b, lengths[b] < lengths[a]);
-        let longer = |a: usize, b: usize| pick(a, b, lengths[b] > lengths[a]);
+        let shorter = |a: usize, b: usize| pick(a, b, squares[b] < squares[a]);
+        let longer = |a: usize, b: usize| pick(a, b, squares[b] > squares[a]);
         let shortest = shorter(shorter(0, 1), 2);
         let longest = longer(longer(0, 1), 2);
-        if lengths[longest] <= WHOLE_BELOW * spacing {
+        if squares[longest] <= (WHOLE_BELOW * spacing).powi(2) {
             return Self::Whole;
         }
-        let base = lengths[shortest];
+        let area = 0.5 * cross.length();
+        let base = squares[shortest].sqrt();
         let median = p[shortest].distance(p[(shortest + 1) % 3].midpoint(p[(shortest + 2) % 3]));
         let sine = 2.0 * area / (base * median);
         if base < WHOLE_BELOW * spacing || sine >= SKEWED_BELOW {

@@ -1,0 +1,514 @@
+//! AOVs → OpenEXR, laid out as compositors and Blender read it without help.
+//!
+//! One part by default: `color` as bare `R G B A`, every other AOV as `NAME.R/G/B`, `NAME.X/Y/Z`, `NAME.Y`, `depth.Z`
+//! or `primId.id`; colors in half precision, the rest in 32 bits, ZIP. Several parts (one an AOV, named like it) on
+//! request. The same pixels and settings make the same bytes.
+
+use super::exr_header::sort_attributes;
+use super::{Error, write_whole};
+use crate::results::{Aov, AovImage, ValueType};
+use ::exr::meta::attribute::{AttributeValue, Chromaticities, IntegerBounds, LineOrder, Text};
+use ::exr::prelude::{
+    AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, ImageAttributes,
+    Layer, LayerAttributes, Vec2, WritableImage,
+};
+use glam::DMat4;
+use half::f16;
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::Path;
+
+/// How AOVs are spread over the parts of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ExrLayout {
+    /// All in one part: what every program shows.
+    #[default]
+    SinglePart,
+    /// A part an AOV, each with its own `colorInteropID`.
+    MultiPart,
+}
+
+/// What the header says besides the pixels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExrInfo {
+    /// Width over height of one pixel.
+    pub pixel_aspect_ratio: f32,
+    /// World to camera space (USD's: right-handed, looking along −Z), column vectors as everywhere in this crate.
+    pub world_to_camera: Option<DMat4>,
+    /// World to (0, 0) upper left … (1, 1) lower right of the image.
+    pub world_to_ndc: Option<DMat4>,
+    /// Near and far clipping distances, stage units.
+    pub clipping_range: Option<(f64, f64)>,
+    /// For an image of a sequence.
+    pub frames_per_second: Option<f64>,
+    /// Program and version.
+    pub software: String,
+    /// More, by name: `usd/stage`, `surflux/command`, …
+    pub texts: BTreeMap<String, String>,
+}
+
+impl Default for ExrInfo {
+    fn default() -> Self {
+        Self {
+            pixel_aspect_ratio: 1.0,
+            world_to_camera: None,
+            world_to_ndc: None,
+            clipping_range: None,
+            frames_per_second: None,
+            software: concat!("surflux ", env!("CARGO_PKG_VERSION")).to_owned(),
+            texts: BTreeMap::new(),
+        }
+    }
+}
+
+/// Write `images` (at least one, all of one size) as `path`, under a temporary name first.
+///
+/// # Errors
+/// If they cannot be encoded or the file cannot be written; nothing is left behind then.
+pub fn write_exr(
+    path: &Path,
+    images: &[AovImage],
+    info: &ExrInfo,
+    layout: ExrLayout,
+) -> Result<(), Error> {
+    let size = common_size(path, images)?;
+    let layers = match layout {
+        ExrLayout::SinglePart => {
+            let channels = images.iter().flat_map(channels).collect();
+            vec![layer(
+                size,
+                layer_attributes(info, "lin_rec709_scene", None),
+                channels,
+            )]
+        }
+        ExrLayout::MultiPart => {
+            let part = |image: &AovImage| {
+                let name = Some(image.aov.name());
+                layer(
+                    size,
+                    layer_attributes(info, interop_id(image.aov), name),
+                    channels(image),
+                )
+            };
+            images.iter().map(part).collect()
+        }
+    };
+    let mut bytes = Cursor::new(Vec::new());
+    let image = Image::from_layers(image_attributes(size, info), layers);
+    image
+        .write()
+        .to_buffered(&mut bytes)
+        .map_err(|source| Error::Exr {
+            path: path.to_owned(),
+            source,
+        })?;
+    let mut bytes = bytes.into_inner();
+    sort_attributes(&mut bytes);
+    write_whole(path, &bytes)
+}
+
+fn common_size(path: &Path, images: &[AovImage]) -> Result<Vec2<usize>, Error> {
+    let unsuitable = |problem: &str| Error::Unsuitable {
+        path: path.to_owned(),
+        problem: problem.to_owned(),
+    };
+    let first = images
+        .first()
+        .ok_or_else(|| unsuitable("no AOV to write, at least one is needed"))?;
+    let size = (first.width, first.height);
+    if images
+        .iter()
+        .any(|image| (image.width, image.height) != size)
+    {
+        return Err(unsuitable(
+            "AOVs differ in size, those of one file must be equal",
+        ));
+    }
+    if size.0 == 0 || size.1 == 0 {
+        return Err(unsuitable(
+            "the image has no pixels, width and height must be 1 or more",
+        ));
+    }
+    Ok(Vec2(size.0 as usize, size.1 as usize))
+}
+
+fn layer(
+    size: Vec2<usize>,
+    attributes: LayerAttributes,
+    channels: Vec<AnyChannel<FlatSamples>>,
+) -> Layer<AnyChannels<FlatSamples>> {
+    let encoding = Encoding {
+        compression: Compression::ZIP16,
+        blocks: Blocks::ScanLines,
+        // Any other order would be that in which threads finish.
+        line_order: LineOrder::Increasing,
+    };
+    Layer::new(
+        size,
+        attributes,
+        encoding,
+        AnyChannels::sort(channels.into()),
+    )
+}
+
+fn image_attributes(size: Vec2<usize>, info: &ExrInfo) -> ImageAttributes {
+    let mut attributes = ImageAttributes::new(IntegerBounds::from_dimensions(size));
+    attributes.pixel_aspect = info.pixel_aspect_ratio;
+    // ITU-R BT.709 primaries, D65.
+    attributes.chromaticities = Some(Chromaticities {
+        red: Vec2(0.64, 0.33),
+        green: Vec2(0.30, 0.60),
+        blue: Vec2(0.15, 0.06),
+        white: Vec2(0.3127, 0.3290),
+    });
+    attributes
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "header fields are f32")]
+fn layer_attributes(info: &ExrInfo, interop_id: &str, name: Option<&str>) -> LayerAttributes {
+    let mut attributes = LayerAttributes {
+        layer_name: name.map(text),
+        software_name: Some(text(&info.software)),
+        world_to_camera: info.world_to_camera.as_ref().map(row_vector_matrix),
+        world_to_normalized_device: info.world_to_ndc.as_ref().map(row_vector_matrix),
+        near_clip_plane: info.clipping_range.map(|(near, _)| near as f32),
+        far_clip_plane: info
+            .clipping_range
+            .map(|(_, far)| far.min(f64::from(f32::MAX)) as f32),
+        frames_per_second: info.frames_per_second.and_then(rational),
+        ..LayerAttributes::default()
+    };
+    let texts = info
+        .texts
+        .iter()
+        .map(|(name, value)| (name.as_str(), value.as_str()));
+    for (name, value) in texts.chain([("colorInteropID", interop_id)]) {
+        attributes
+            .other
+            .insert(text(name), AttributeValue::Text(text(value)));
+    }
+    attributes
+}
+
+/// The bytes of a string: EXR says nothing of encodings, and paths are UTF-8 in USD.
+fn text(string: &str) -> Text {
+    Text::from_slice_unchecked(string.as_bytes())
+}
+
+/// OpenEXR stores matrices row by row for row vectors, which is our columns one after the other.
+#[expect(clippy::cast_possible_truncation, reason = "header matrices are f32")]
+fn row_vector_matrix(matrix: &DMat4) -> [f32; 16] {
+    matrix.to_cols_array().map(|element| element as f32)
+}
+
+/// Frame rates are whole, or whole times 1000/1001 (NTSC), or else thousandths.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "frame rates are checked to be below 10^6"
+)]
+fn rational(rate: f64) -> Option<(i32, u32)> {
+    if !(rate > 0.0 && rate < 1e6) {
+        return None;
+    }
+    // Rates are written with two to six decimals: 23.976 is meant as 24000/1001.
+    let is_whole = |rate: f64| (rate - rate.round()).abs() < 1e-3 && rate.round() >= 1.0;
+    if (rate - rate.round()).abs() < 1e-9 {
+        Some((rate.round() as i32, 1))
+    } else if is_whole(rate * 1.001) {
+        Some(((rate * 1.001).round() as i32 * 1000, 1001))
+    } else {
+        Some(((rate * 1000.0).round() as i32, 1000))
+    }
+}
+
+/// Color space identifier of the ASWF's Color Interop Forum.
+fn interop_id(aov: Aov) -> &'static str {
+    match aov.value_type() {
+        ValueType::Color | ValueType::ColorAlpha => "lin_rec709_scene",
+        ValueType::Float | ValueType::Normal | ValueType::Point | ValueType::Id => "data",
+    }
+}
+
+/// Channel suffixes of an AOV, in the order of its components.
+fn suffixes(aov: Aov) -> &'static [&'static str] {
+    match (aov, aov.value_type()) {
+        (Aov::Depth, _) => &["Z"],
+        (_, ValueType::Float) => &["Y"],
+        (_, ValueType::Color) => &["R", "G", "B"],
+        (_, ValueType::ColorAlpha) => &["R", "G", "B", "A"],
+        (_, ValueType::Normal | ValueType::Point) => &["X", "Y", "Z"],
+        (_, ValueType::Id) => &["id"],
+    }
+}
+
+fn channels(image: &AovImage) -> Vec<AnyChannel<FlatSamples>> {
+    let aov = image.aov;
+    let channel = |(component, suffix): (usize, &&str)| {
+        let name = match aov {
+            Aov::Color => (*suffix).to_owned(),
+            _ => format!("{}.{suffix}", aov.name()),
+        };
+        AnyChannel::new(text(&name), samples(image, component))
+    };
+    suffixes(aov).iter().enumerate().map(channel).collect()
+}
+
+fn samples(image: &AovImage, component: usize) -> FlatSamples {
+    let values = image
+        .data
+        .iter()
+        .skip(component)
+        .step_by(image.aov.components())
+        .copied();
+    match image.aov.value_type() {
+        ValueType::Color | ValueType::ColorAlpha => FlatSamples::F16(values.map(half).collect()),
+        ValueType::Float | ValueType::Normal | ValueType::Point => {
+            FlatSamples::F32(values.collect())
+        }
+        ValueType::Id => FlatSamples::U32(values.map(id).collect()),
+    }
+}
+
+/// Half precision, values beyond its range at its largest value: an infinity would spread in every filter.
+fn half(value: f32) -> f16 {
+    f16::from_f32(value.clamp(-f16::MAX.to_f32(), f16::MAX.to_f32()))
+}
+
+/// −1 (nothing) becomes `0xFFFF_FFFF`, which is −1 to readers of signed ids.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "ids are whole and exact in f32; −1 wraps by intention"
+)]
+fn id(value: f32) -> u32 {
+    value as i64 as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::PathBuf;
+    use std::process::Command;
+
+    fn image(aov: Aov, value: impl Fn(usize, usize) -> f32) -> AovImage {
+        let (width, height) = (5, 3);
+        let components = aov.components();
+        let data = (0..width * height * components).map(|i| value(i / components, i % components));
+        AovImage {
+            aov,
+            width: 5,
+            height: 3,
+            data: data.collect(),
+        }
+    }
+
+    /// `color` beyond the range of halves, exact floats, ids with nothing.
+    fn images() -> Vec<AovImage> {
+        vec![
+            image(Aov::Color, |pixel, c| {
+                if pixel == 0 {
+                    1e6
+                } else {
+                    pixel as f32 + 0.25 * c as f32
+                }
+            }),
+            image(Aov::DiffuseIndirect, |pixel, c| {
+                0.5 * pixel as f32 + c as f32
+            }),
+            image(Aov::Occlusion, |pixel, _| pixel as f32 / 3.0),
+            image(Aov::Depth, |pixel, _| {
+                if pixel == 0 { 1e10 } else { pixel as f32 / 3.0 }
+            }),
+            image(Aov::Normal, |_, c| [0.6, 0.0, 0.8][c]),
+            image(Aov::PrimId, |pixel, _| pixel as f32 - 1.0),
+        ]
+    }
+
+    fn info() -> ExrInfo {
+        ExrInfo {
+            pixel_aspect_ratio: 2.0,
+            world_to_camera: Some(DMat4::from_translation(glam::DVec3::new(1.0, 2.0, 3.0))),
+            world_to_ndc: Some(DMat4::from_scale(glam::DVec3::new(4.0, 5.0, 6.0))),
+            clipping_range: Some((0.5, f64::INFINITY)),
+            frames_per_second: Some(23.976),
+            software: "surflux test".into(),
+            texts: BTreeMap::from([
+                ("usd/stage".into(), "/scènes/a.usda".into()),
+                ("surflux/command".into(), "surflux render a.usda".into()),
+            ]),
+        }
+    }
+
+    fn written(layout: ExrLayout) -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.exr");
+        write_exr(&path, &images(), &info(), layout).unwrap();
+        (folder, path)
+    }
+
+    /// Run `script` on `path` where the environment names a Python with OpenEXR and OpenImageIO.
+    #[expect(clippy::print_stderr, reason = "a skipped test says so")]
+    fn check_in_python(path: &Path, script: &str) {
+        let Some(python) = std::env::var_os("SURFLUX_TEST_PYTHON") else {
+            eprintln!("skipped: SURFLUX_TEST_PYTHON names no Python with OpenEXR and OpenImageIO");
+            return;
+        };
+        let output = Command::new(python)
+            .args(["-c", script])
+            .arg(path)
+            .output()
+            .unwrap();
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{message}");
+    }
+
+    #[test]
+    fn one_part_reads_in_openexr_with_the_types_values_and_headers_of_the_contract() {
+        let (_folder, path) = written(ExrLayout::SinglePart);
+        check_in_python(
+            &path,
+            r#"
+import sys, numpy as np, OpenEXR
+file = OpenEXR.File(sys.argv[1], separate_channels=True)
+assert len(file.parts) == 1
+header, channels = file.header(), file.channels()
+kinds = {name: str(c.pixels.dtype) for name, c in channels.items()}
+expected = {n: "float16" for n in ["R", "G", "B", "A", "diffuse_indirect.R", "diffuse_indirect.G", "diffuse_indirect.B"]}
+expected |= {n: "float32" for n in ["occlusion.Y", "depth.Z", "N.X", "N.Y", "N.Z"]} | {"primId.id": "uint32"}
+assert kinds == expected, kinds
+pixel = np.arange(15).reshape(3, 5)
+get = lambda name: channels[name].pixels
+assert get("R")[0, 0] == 65504 and (get("G").ravel()[1:] == pixel.ravel()[1:] + 0.25).all()
+assert (get("diffuse_indirect.B") == 0.5 * pixel + 2).all()
+assert (get("occlusion.Y") == (pixel / np.float32(3)).astype("f4")).all()
+assert get("depth.Z")[0, 0] == np.float32(1e10) and get("N.Z")[1, 1] == np.float32(0.8)
+assert get("primId.id")[0, 0] == 0xFFFFFFFF and get("primId.id")[2, 4] == 13
+assert header["compression"] == OpenEXR.ZIP_COMPRESSION, header["compression"]
+assert header["pixelAspectRatio"] == 2
+assert np.allclose(header["chromaticities"], (.64, .33, .30, .60, .15, .06, .3127, .3290))
+assert (np.array(header["worldToCamera"]).reshape(4, 4)[3] == [1, 2, 3, 1]).all()
+assert (np.diag(np.array(header["worldToNDC"]).reshape(4, 4)) == [4, 5, 6, 1]).all()
+rate = header["framesPerSecond"]
+assert str(rate).replace(" ", "") in ("24000/1001", "(24000,1001)") or (rate.n, rate.d) == (24000, 1001), rate
+assert header["software"] == "surflux test" and header["usd/stage"] == "/scènes/a.usda"
+assert header["surflux/command"] == "surflux render a.usda" and header["colorInteropID"] == "lin_rec709_scene"
+assert tuple(header["dataWindow"][1]) == (4, 2) and tuple(header["displayWindow"][1]) == (4, 2)
+"#,
+        );
+    }
+
+    #[test]
+    fn openimageio_finds_formats_and_alpha() {
+        let (_folder, path) = written(ExrLayout::SinglePart);
+        check_in_python(
+            &path,
+            r#"
+import sys, OpenImageIO as oiio
+file = oiio.ImageInput.open(sys.argv[1])
+spec = file.spec()
+assert spec.nchannels == 13 and list(spec.channelnames[:4]) == ["R", "G", "B", "A"], spec.channelnames
+assert spec.alpha_channel == 3
+formats = {n: str(spec.channelformat(i)) for i, n in enumerate(spec.channelnames)}
+assert formats["R"] == "half" and formats["N.X"] == "float" and formats["primId.id"] == "uint"
+assert not file.seek_subimage(1, 0)
+"#,
+        );
+    }
+
+    #[test]
+    fn several_parts_are_named_like_their_aovs() {
+        let (_folder, path) = written(ExrLayout::MultiPart);
+        check_in_python(
+            &path,
+            r#"
+import sys, OpenEXR, OpenImageIO as oiio
+file = OpenEXR.File(sys.argv[1], separate_channels=True)
+names = [part.header["name"] for part in file.parts]
+assert names == ["color", "diffuse_indirect", "occlusion", "depth", "N", "primId"], names
+ids = [part.header["colorInteropID"] for part in file.parts]
+assert ids == ["lin_rec709_scene"] * 2 + ["data"] * 4, ids
+assert sorted(file.parts[4].channels) == ["N.X", "N.Y", "N.Z"] and sorted(file.parts[0].channels) == ["A", "B", "G", "R"]
+assert file.parts[5].channels["primId.id"].pixels[2, 4] == 13
+image = oiio.ImageInput.open(sys.argv[1])
+assert image.seek_subimage(5, 0) and image.spec().getattribute("oiio:subimagename") == "primId"
+"#,
+        );
+    }
+
+    #[test]
+    fn equal_images_are_equal_files() {
+        for layout in [ExrLayout::SinglePart, ExrLayout::MultiPart] {
+            let (_folder, first) = written(layout);
+            let first = std::fs::read(first).unwrap();
+            for _ in 0..4 {
+                let (_folder, again) = written(layout);
+                assert_eq!(std::fs::read(again).unwrap(), first);
+            }
+        }
+    }
+
+    #[test]
+    fn the_exr_crate_reads_back_what_was_written() {
+        use ::exr::prelude::{ReadChannels, ReadLayers, read};
+        for (layout, layers) in [(ExrLayout::SinglePart, 1), (ExrLayout::MultiPart, 6)] {
+            let (_folder, path) = written(layout);
+            let read = read()
+                .no_deep_data()
+                .largest_resolution_level()
+                .all_channels()
+                .all_layers()
+                .all_attributes();
+            let image = read.from_file(&path).unwrap();
+            assert_eq!(image.layer_data.len(), layers);
+            let channels = image
+                .layer_data
+                .iter()
+                .flat_map(|layer| &layer.channel_data.list);
+            let depth = channels
+                .clone()
+                .find(|c| c.name.to_string() == "depth.Z")
+                .unwrap();
+            assert_eq!(depth.sample_data.values_as_f32().last(), Some(14.0 / 3.0));
+            assert_eq!(channels.count(), 13);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_an_image_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.exr");
+        let small = AovImage {
+            aov: Aov::Depth,
+            width: 1,
+            height: 1,
+            data: vec![0.0],
+        };
+        let empty = AovImage {
+            aov: Aov::Depth,
+            width: 0,
+            height: 1,
+            data: vec![],
+        };
+        for images in [vec![], vec![empty], [images(), vec![small]].concat()] {
+            let result = write_exr(&path, &images, &ExrInfo::default(), ExrLayout::SinglePart);
+            assert!(matches!(result, Err(Error::Unsuitable { .. })));
+        }
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn frame_rates_are_exact_ratios() {
+        for (rate, expected) in [
+            (24.0, Some((24, 1))),
+            (23.976, Some((24_000, 1001))),
+            (23.976_023_976, Some((24_000, 1001))),
+            (29.97, Some((30_000, 1001))),
+            (59.94, Some((60_000, 1001))),
+            (12.5, Some((12_500, 1000))),
+            (0.0, None),
+            (f64::NAN, None),
+        ] {
+            assert_eq!(rational(rate), expected, "{rate}");
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! Pixels → image files: all AOVs in an EXR, one AOV as a PNG to look at.
+
+pub mod exr;
+mod exr_header;
+pub mod png;
+
+pub use exr::{ExrInfo, ExrLayout, write_exr};
+pub use png::write_png;
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// An image could not be written. No file was left behind, and an older one of that name is untouched.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The system said no.
+    #[error("{path}: cannot be written")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Encoding failed.
+    #[error("{path}: cannot be encoded as EXR")]
+    Exr {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: ::exr::error::Error,
+    },
+    /// Encoding failed.
+    #[error("{path}: cannot be encoded as PNG")]
+    Png {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: ::image::ImageError,
+    },
+    /// There is nothing to write, or the images differ in size.
+    #[error("{path}: {problem}")]
+    Unsuitable {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what would be right.
+        problem: String,
+    },
+}
+
+/// Write `bytes` as `path`: under a temporary name in the same folder, then renamed.
+fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    let io = |source| Error::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
+    let written = write_all(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path));
+    if written.is_err() {
+        // The first error is the one to tell; that the temporary file may not exist is no news.
+        let _ = std::fs::remove_file(&temporary);
+    }
+    written.map_err(io)
+}
+
+fn write_all(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let mut file = BufWriter::new(File::create(path)?);
+    file.write_all(bytes)?;
+    file.into_inner()?.sync_data()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failed_write_leaves_no_file_and_names_the_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("missing/out.exr");
+        let error = write_whole(&path, b"x").unwrap_err();
+        assert!(error.to_string().contains("out.exr"));
+        assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none());
+        write_whole(&folder.path().join("out.exr"), b"x").unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+}

@@ -1,0 +1,232 @@
+//! One AOV → PNG, to look at: sRGB with a plain exposure, no look.
+//!
+//! Colors are scaled so that the 99th percentile of the brightest component of covered pixels becomes white, then
+//! encoded as sRGB and clipped; values are never brightened more than 2^10 times. Fractions (`occlusion`,
+//! `visibility`) are grays as they are, encoded too; depth runs from white (near) to black (far); directions are
+//! `0.5 n + 0.5` without encoding, positions 0…1 over their bounds; ids get distinct colors.
+
+use super::{Error, write_whole};
+use crate::results::resolve::FAR_DEPTH;
+use crate::results::{Aov, AovImage, ValueType};
+use ::image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use std::path::Path;
+
+/// Share of pixel values that are not clipped.
+const WHITE_PERCENTILE: f32 = 0.99;
+
+/// Darker images stay dark: it is noise that would be shown.
+const MOST_EXPOSURE: f32 = 1024.0;
+
+/// Write `image` as an 8-bit PNG `path`, under a temporary name first.
+///
+/// # Errors
+/// If it has no pixels or the file cannot be written; nothing is left behind then.
+pub fn write_png(path: &Path, image: &AovImage) -> Result<(), Error> {
+    let color = match image.aov.value_type() {
+        ValueType::ColorAlpha => ExtendedColorType::Rgba8,
+        ValueType::Float => ExtendedColorType::L8,
+        _ => ExtendedColorType::Rgb8,
+    };
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes)
+        .write_image(&pixels(image), image.width, image.height, color)
+        .map_err(|source| Error::Png {
+            path: path.to_owned(),
+            source,
+        })?;
+    write_whole(path, &bytes)
+}
+
+/// 8 bits a channel.
+fn pixels(image: &AovImage) -> Vec<u8> {
+    match (image.aov, image.aov.value_type()) {
+        (Aov::Depth, _) => depth(&image.data),
+        (_, ValueType::Float) => image.data.iter().map(|value| srgb(*value)).collect(),
+        (_, ValueType::Color) => colors(image, 3),
+        (_, ValueType::ColorAlpha) => colors(image, 4),
+        (_, ValueType::Normal) => image.data.iter().map(|x| byte(0.5 * x + 0.5)).collect(),
+        (_, ValueType::Point) => positions(&image.data),
+        (_, ValueType::Id) => image.data.iter().flat_map(|id| id_color(*id)).collect(),
+    }
+}
+
+/// Exposed and encoded; alpha as it is, and color divided by it, as PNG wants it.
+fn colors(image: &AovImage, components: usize) -> Vec<u8> {
+    let exposure = exposure(&image.data, components);
+    let encode = |pixel: &[f32]| {
+        let alpha = pixel.get(3).copied().unwrap_or(1.0).clamp(0.0, 1.0);
+        let straight = if alpha > 0.0 { exposure / alpha } else { 0.0 };
+        let mut bytes = [0, 0, 0, byte(alpha)];
+        for (byte, value) in bytes.iter_mut().zip(&pixel[..3]) {
+            *byte = srgb(value * straight);
+        }
+        bytes.into_iter().take(components)
+    };
+    image
+        .data
+        .chunks_exact(components)
+        .flat_map(encode)
+        .collect()
+}
+
+/// What brings the percentile to 1.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::cast_precision_loss,
+    reason = "an index of a list, rounded"
+)]
+fn exposure(data: &[f32], components: usize) -> f32 {
+    let brightest = |pixel: &[f32]| pixel[..3].iter().copied().fold(0.0, f32::max);
+    let mut values: Vec<f32> = data
+        .chunks_exact(components)
+        .map(brightest)
+        .filter(|value| *value > 0.0)
+        .collect();
+    if values.is_empty() {
+        return 1.0;
+    }
+    let index = ((values.len() - 1) as f32 * WHITE_PERCENTILE).round() as usize;
+    let (_, white, _) = values.select_nth_unstable_by(index, f32::total_cmp);
+    (1.0 / *white).min(MOST_EXPOSURE)
+}
+
+/// IEC 61966-2-1, clipped.
+fn srgb(linear: f32) -> u8 {
+    let linear = linear.clamp(0.0, 1.0);
+    byte(if linear <= 0.003_130_8 {
+        12.92 * linear
+    } else {
+        1.055 * linear.powf(1.0 / 2.4) - 0.055
+    })
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "clamped to 0…255; NaN becomes 0"
+)]
+fn byte(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
+/// Lowest and highest of some values; 0 and 1 for none.
+fn range(values: impl Iterator<Item = f32>) -> (f32, f32) {
+    let (low, high) = values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| {
+        (low.min(value), high.max(value))
+    });
+    if low <= high { (low, high) } else { (0.0, 1.0) }
+}
+
+/// 0…1 within a range; 0 in an empty one.
+fn within((low, high): (f32, f32), value: f32) -> f32 {
+    if high > low {
+        (value - low) / (high - low)
+    } else {
+        0.0
+    }
+}
+
+/// Near is white; the background is black.
+fn depth(data: &[f32]) -> Vec<u8> {
+    let seen = range(data.iter().copied().filter(|depth| *depth < FAR_DEPTH));
+    // The farthest surface stays apart from the background.
+    data.iter()
+        .map(|d| {
+            if *d < FAR_DEPTH {
+                byte(1.0 - 0.9 * within(seen, *d))
+            } else {
+                0
+            }
+        })
+        .collect()
+}
+
+fn positions(data: &[f32]) -> Vec<u8> {
+    let axis = |axis: usize| range(data.iter().copied().skip(axis).step_by(3));
+    let ranges = [axis(0), axis(1), axis(2)];
+    data.iter()
+        .enumerate()
+        .map(|(i, x)| byte(within(ranges[i % 3], *x)))
+        .collect()
+}
+
+/// Hues in steps of the golden angle: neighbors differ; black for none.
+fn id_color(id: f32) -> [u8; 3] {
+    if id < 0.0 {
+        return [0; 3];
+    }
+    let hue = (id * 0.618_034).fract() * 6.0;
+    let channel = |offset: f32| {
+        let k = (offset + hue) % 6.0;
+        byte(0.95 - 0.6 * k.min(4.0 - k).clamp(0.0, 1.0))
+    };
+    [channel(5.0), channel(3.0), channel(1.0)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(aov: Aov, data: &[f32]) -> AovImage {
+        let width = u32::try_from(data.len() / aov.components()).unwrap();
+        AovImage {
+            aov,
+            width,
+            height: 1,
+            data: data.to_vec(),
+        }
+    }
+
+    #[test]
+    fn srgb_has_the_values_of_the_standard() {
+        assert_eq!(
+            [0.0, 0.003_130_8, 0.18, 0.5, 1.0, 7.0, -1.0].map(srgb),
+            [0, 10, 118, 188, 255, 255, 0]
+        );
+        assert_eq!(srgb(f32::NAN), 0);
+    }
+
+    #[test]
+    fn the_brightest_pixels_are_white_and_edges_are_straight_alpha() {
+        let mut data = [2.0, 1.0, 0.0, 1.0].repeat(200);
+        data.extend([1.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1e6, 1e6, 1e6, 1.0]);
+        let pixels = pixels(&image(Aov::Color, &data));
+        assert_eq!(pixels[..4], [255, 188, 0, 255]);
+        assert_eq!(
+            pixels[800..812],
+            [255, 188, 0, 128, 0, 0, 0, 0, 255, 255, 255, 255]
+        );
+    }
+
+    #[test]
+    fn data_is_shown_as_documented() {
+        assert_eq!(
+            pixels(&image(Aov::Normal, &[0.0, 0.0, 1.0])),
+            [128, 128, 255]
+        );
+        assert_eq!(pixels(&image(Aov::Occlusion, &[0.0, 1.0])), [0, 255]);
+        assert_eq!(
+            pixels(&image(Aov::Depth, &[1.0, 3.0, FAR_DEPTH])),
+            [255, 26, 0]
+        );
+        assert_eq!(
+            pixels(&image(Aov::Position, &[0.0, 5.0, 1.0, 2.0, 5.0, 0.0])),
+            [0, 0, 255, 255, 0, 0]
+        );
+        let ids = pixels(&image(Aov::PrimId, &[-1.0, 0.0, 1.0]));
+        assert_eq!(ids[..3], [0, 0, 0]);
+        assert!(ids[3..6] != ids[6..9]);
+        assert_eq!(pixels(&image(Aov::Irradiance, &[0.0; 3])), [0, 0, 0]);
+    }
+
+    #[test]
+    fn a_written_file_reads_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("n.png");
+        write_png(&path, &image(Aov::Normal, &[0.0, 0.0, 1.0, 1.0, 0.0, 0.0])).unwrap();
+        let read = ::image::open(&path).unwrap().to_rgb8();
+        assert_eq!(read.dimensions(), (2, 1));
+        assert_eq!(read.into_raw(), [128, 128, 255, 255, 128, 128]);
+    }
+}
