@@ -2,6 +2,9 @@
 //!
 //! An [`Engine`] fills a [`Hemisphere`] for every receiver; the quantities read AOVs off it.
 
+pub mod paper;
+pub mod traverse;
+
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::lighting::Lighting;
 use crate::receivers::Receivers;

@@ -124,7 +124,10 @@ mod tests {
         for s in [1e-3, 1e-6] {
             let corners = [(-s, -s), (s, -s), (s, s), (-s, s)].map(|(x, y)| DVec3::new(x, y, 1.0));
             let moment = polygon_moment(&corners);
-            assert!((moment.z / (4.0 * s * s) - 1.0).abs() < 1e-4, "{s}: {moment}");
+            assert!(
+                (moment.z / (4.0 * s * s) - 1.0).abs() < 1e-4,
+                "{s}: {moment}"
+            );
         }
         assert_eq!(polygon_moment(&[]), DVec3::ZERO);
         assert_eq!(polygon_moment(&[DVec3::X, DVec3::X, DVec3::X]), DVec3::ZERO);
@@ -134,8 +137,7 @@ mod tests {
     fn a_wall_that_crosses_the_horizon_counts_only_above_it() {
         // Vertical half plane x = 1 (very large): form factor ½ · (1 − cos 90°) = ½ from its foot at distance 1.
         let w = 1e7;
-        let wall =
-            [(-w, -w), (w, -w), (w, w), (-w, w)].map(|(y, z)| DVec3::new(1.0, y, z));
+        let wall = [(-w, -w), (w, -w), (w, w), (-w, w)].map(|(y, z)| DVec3::new(1.0, y, z));
         assert!((polygon_form_factor(&wall, DVec3::Z) - 0.5).abs() < 1e-6);
         assert!(polygon_form_factor(&wall, -DVec3::X).abs() < 1e-12);
     }

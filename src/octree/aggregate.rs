@@ -57,7 +57,11 @@ pub(super) fn aggregate(levels: &[Vec<Cell>], surfels: &LeafSurfels) -> (Vec<Nod
         }
         below = summed.into_iter().map(|(part, _)| part).collect();
         let nodes = below.par_iter().zip(cells);
-        nodes_of_level.push(nodes.map(|(part, cell)| part.node(cell, first_below)).collect());
+        nodes_of_level.push(
+            nodes
+                .map(|(part, cell)| part.node(cell, first_below))
+                .collect(),
+        );
     }
     nodes_of_level.reverse();
     (nodes_of_level.into_iter().flatten().collect(), lobes)
@@ -65,7 +69,8 @@ pub(super) fn aggregate(levels: &[Vec<Cell>], surfels: &LeafSurfels) -> (Vec<Nod
 
 /// A count of nodes, lobes or surfels as stored.
 fn index(value: usize) -> u32 {
-    u32::try_from(value).expect("a tree has fewer nodes than surfels, and a cloud less than 2³² of those")
+    u32::try_from(value)
+        .expect("a tree has fewer nodes than surfels, and a cloud less than 2³² of those")
 }
 
 /// The aggregate of one cell, from its surfels or from its children in `below`; lobes if its normals are spread.
@@ -77,7 +82,11 @@ fn sum_cell(
 ) -> (Part, Option<Lobes>) {
     let leaf_parts: Vec<Part>;
     let parts = if cell.children.is_empty() {
-        leaf_parts = cell.surfels.clone().map(|i| Part::of_surfel(surfels, i)).collect();
+        leaf_parts = cell
+            .surfels
+            .clone()
+            .map(|i| Part::of_surfel(surfels, i))
+            .collect();
         &leaf_parts
     } else {
         &below[cell.children.clone()]
@@ -132,7 +141,9 @@ impl Part {
     fn sum(parts: &[Self]) -> Self {
         let total = |value: fn(&Self) -> DVec3| parts.iter().map(value).sum::<DVec3>();
         let area: f64 = parts.iter().map(|part| part.area).sum();
-        let bounds = parts.iter().fold(Bounds3::EMPTY, |all, part| all.union(part.bounds));
+        let bounds = parts
+            .iter()
+            .fold(Bounds3::EMPTY, |all, part| all.union(part.bounds));
         let center = if area > 0.0 {
             total(|part| part.center * part.area) / area
         } else {
@@ -166,11 +177,23 @@ impl Part {
 
     /// The lobes of a single disk with this part's normal.
     fn disk_lobes(&self) -> Lobes {
-        #[expect(clippy::cast_possible_truncation, reason = "f64 sums are stored as f32")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "f64 sums are stored as f32"
+        )]
         let facing_area = self.facing.length() as f32;
         let cosine = Sh9::clamped_cosine(self.normal);
-        let share = if self.area > 0.0 { self.facing.length() / self.area } else { 0.0 };
-        let scaled = |power: DVec3| (power * share).as_vec3().to_array().map(|value| cosine * value);
+        let share = if self.area > 0.0 {
+            self.facing.length() / self.area
+        } else {
+            0.0
+        };
+        let scaled = |power: DVec3| {
+            (power * share)
+                .as_vec3()
+                .to_array()
+                .map(|value| cosine * value)
+        };
         Lobes {
             area: cosine * facing_area,
             reflected: scaled(self.reflected_power),
@@ -178,9 +201,16 @@ impl Part {
         }
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "f64 sums are stored as f32")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "f64 sums are stored as f32"
+    )]
     fn node(&self, cell: &Cell, first_below: usize) -> Node {
-        let per_area = if self.area > 0.0 { 1.0 / self.area } else { 0.0 };
+        let per_area = if self.area > 0.0 {
+            1.0 / self.area
+        } else {
+            0.0
+        };
         let kind = if cell.children.is_empty() {
             NodeKind::Leaf(cell.surfels.clone())
         } else {
@@ -219,7 +249,10 @@ fn radius_about(center: Vec3, parts: &[Part], bounds: &Bounds3) -> f32 {
 /// Half-angle of a cone about `normal` around the cones of all parts, at most π.
 fn spread_about(normal: Vec3, parts: &[Part]) -> f32 {
     parts.iter().fold(0.0_f32, |spread, part| {
-        let angle = normal.cross(part.normal).length().atan2(normal.dot(part.normal));
+        let angle = normal
+            .cross(part.normal)
+            .length()
+            .atan2(normal.dot(part.normal));
         spread.max((angle + part.spread).min(PI))
     })
 }
@@ -236,5 +269,12 @@ fn square_moments(area: f64, normal: DVec3) -> Moments {
 
 /// The products of the components of `v`, in the order of [`Moments`].
 fn products(v: DVec3) -> Moments {
-    [v.x * v.x, v.y * v.y, v.z * v.z, v.x * v.y, v.x * v.z, v.y * v.z]
+    [
+        v.x * v.x,
+        v.y * v.y,
+        v.z * v.z,
+        v.x * v.y,
+        v.x * v.z,
+        v.y * v.z,
+    ]
 }

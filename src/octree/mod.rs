@@ -118,13 +118,14 @@ impl Octree {
 
     /// Direction-dependent area and power of a node of spread normals; `None` for a flat one.
     pub fn lobes(&self, node: &Node) -> Option<&Lobes> {
-        node.lobes_index()
-            .map(|index| &self.lobes[index])
+        node.lobes_index().map(|index| &self.lobes[index])
     }
 
     /// The box around all disks, relative to the origin.
     pub fn bounds(&self) -> Bounds3 {
-        self.nodes.first().map_or(Bounds3::EMPTY, |root| root.bounds)
+        self.nodes
+            .first()
+            .map_or(Bounds3::EMPTY, |root| root.bounds)
     }
 
     /// Bytes held by nodes, lobes and surfels.

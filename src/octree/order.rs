@@ -108,7 +108,9 @@ mod tests {
             for y in -2..=2 {
                 for z in -2..=2 {
                     let normal = Vec3::new(x as f32, y as f32, z as f32);
-                    if normal == Vec3::ZERO || normal.abs().max_element() == 2.0 && normal.abs().element_sum() == 2.0 {
+                    if normal == Vec3::ZERO
+                        || normal.abs().max_element() == 2.0 && normal.abs().element_sum() == 2.0
+                    {
                         continue;
                     }
                     let n = normal.normalize();
@@ -123,7 +125,12 @@ mod tests {
 
     #[test]
     fn keys_equal_interleaving_bit_by_bit() {
-        for cell in [[0_u32, 0, 0], [1, 2, 3], [0xf_ffff, 0x5_5555, 0xa_aaaa], [123_456, 7, 999_999]] {
+        for cell in [
+            [0_u32, 0, 0],
+            [1, 2, 3],
+            [0xf_ffff, 0x5_5555, 0xa_aaaa],
+            [123_456, 7, 999_999],
+        ] {
             let mut expected = 0_u64;
             for bit in 0..20 {
                 for (axis, coordinate) in cell.iter().enumerate() {

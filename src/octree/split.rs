@@ -71,9 +71,7 @@ fn octants(keys: &[u64], range: &Range<usize>, shift: u32) -> Vec<Range<usize>> 
 fn eighths(range: &Range<usize>) -> Vec<Range<usize>> {
     let count = range.len().div_ceil(LEAF_SURFEL_COUNT).min(8);
     (0..count)
-        .map(|i| {
-            range.start + range.len() * i / count..range.start + range.len() * (i + 1) / count
-        })
+        .map(|i| range.start + range.len() * i / count..range.start + range.len() * (i + 1) / count)
         .collect()
 }
 
@@ -84,7 +82,10 @@ mod tests {
     #[test]
     fn a_million_equal_keys_end_in_leaves_of_sixteen() {
         let levels = levels(&vec![42; 1_000_000]);
-        let leaves = levels.iter().flatten().filter(|cell| cell.children.is_empty());
+        let leaves = levels
+            .iter()
+            .flatten()
+            .filter(|cell| cell.children.is_empty());
         let counts: Vec<usize> = leaves.map(|cell| cell.surfels.len()).collect();
         assert_eq!(counts.iter().sum::<usize>(), 1_000_000);
         assert!(counts.iter().all(|&n| n > 0 && n <= LEAF_SURFEL_COUNT));
