@@ -1,6 +1,7 @@
 //! Octree and the paper's gather against scenes made by code: analytic rectangles and spheres, ray traced here.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Quat, Vec3};
+use std::fmt;
 use std::f32::consts::{PI, TAU};
 use surflux::gather::paper::{PaperEngine, PaperSettings};
 use surflux::gather::{Engine, Hemisphere};
@@ -243,12 +244,30 @@ fn gathered(octree: &Octree, places: &[Place], settings: PaperSettings) -> Vec<S
     seen
 }
 
-/// rms(x − truth) / mean(truth).
-fn relative_rmse(values: impl Iterator<Item = (f64, f64)>) -> f64 {
-    let pairs: Vec<(f64, f64)> = values.collect();
-    let squares: f64 = pairs.iter().map(|(x, truth)| (x - truth).powi(2)).sum();
-    let mean = pairs.iter().map(|(_, truth)| truth).sum::<f64>() / pairs.len() as f64;
-    (squares / pairs.len() as f64).sqrt() / mean
+/// Errors relative to the mean of the truth.
+struct ErrorOf {
+    /// rms(x − truth) / mean(truth).
+    relative_rmse: f64,
+    /// mean(x) / mean(truth) − 1.
+    bias: f64,
+}
+
+impl ErrorOf {
+    fn new(pairs: &[(f64, f64)]) -> Self {
+        let sum = |value: fn(&(f64, f64)) -> f64| pairs.iter().map(value).sum::<f64>();
+        let truth = sum(|pair| pair.1);
+        let squares = sum(|pair| (pair.0 - pair.1).powi(2));
+        Self {
+            relative_rmse: (squares * pairs.len() as f64).sqrt() / truth,
+            bias: sum(|pair| pair.0) / truth - 1.0,
+        }
+    }
+}
+
+impl fmt::Display for ErrorOf {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.2} % (bias {:+.2})", 100.0 * self.relative_rmse, 100.0 * self.bias)
+    }
 }
 
 /// Places spread over all `surfaces` by area, a low-discrepancy sequence on each.
@@ -284,13 +303,18 @@ fn box_inside(low: Vec3, high: Vec3, radiosity: fn(Vec3) -> f32) -> Vec<Surface>
     .to_vec()
 }
 
-/// A unit box open towards +z with two spheres; a light spot on the floor and the left wall.
+/// Turns a scene so that no wall lies along an axis of the octree or of the rasters.
+const TURN: Quat = Quat::from_xyzw(0.182_574_19, 0.365_148_37, 0.547_722_56, 0.730_296_74);
+
+/// Radiosity of [`cornell`]: a light spot on the floor and the left wall.
+fn lit(p: Vec3) -> f32 {
+    let spot = (-p.distance_squared(Vec3::new(0.35, 0.0, 0.5)) / 0.06).exp();
+    let albedo = if p.x < 1e-4 { 0.2 } else { 0.7 };
+    albedo * (0.15 + spot)
+}
+
+/// A unit box open towards +z with two spheres.
 fn cornell() -> Vec<Surface> {
-    fn lit(p: Vec3) -> f32 {
-        let spot = (-p.distance_squared(Vec3::new(0.35, 0.0, 0.5)) / 0.06).exp();
-        let albedo = if p.x < 1e-4 { 0.2 } else { 0.7 };
-        albedo * (0.15 + spot)
-    }
     let mut surfaces = box_inside(Vec3::ZERO, Vec3::ONE, lit);
     surfaces.pop();
     for (center, r) in [
@@ -305,6 +329,20 @@ fn cornell() -> Vec<Surface> {
     surfaces
 }
 
+/// [`cornell`], turned.
+fn turned_cornell() -> Vec<Surface> {
+    cornell()
+        .into_iter()
+        .map(|surface| Surface {
+            shape: match surface.shape {
+                Shape::Rectangle(corner, u, v) => Shape::Rectangle(TURN * corner, TURN * u, TURN * v),
+                Shape::Sphere(center, r) => Shape::Sphere(TURN * center, r),
+            },
+            radiosity: |p| lit(TURN.inverse() * p),
+        })
+        .collect()
+}
+
 /// A sheet of truth for a scene: places, and what rays see from them.
 fn truth(surfaces: &[Surface], count: usize) -> (Vec<Place>, Vec<Seen>) {
     let places = places_on(surfaces, count);
@@ -315,81 +353,45 @@ fn truth(surfaces: &[Surface], count: usize) -> (Vec<Place>, Vec<Seen>) {
     (places, seen)
 }
 
-fn errors(octree: &Octree, places: &[Place], truth: &[Seen], settings: PaperSettings) -> Seen {
+/// Errors of visibility and irradiance.
+fn errors(
+    octree: &Octree,
+    places: &[Place],
+    truth: &[Seen],
+    settings: PaperSettings,
+) -> (ErrorOf, ErrorOf) {
     let seen = gathered(octree, places, settings);
-    let pairs = || seen.iter().zip(truth);
-    (
-        relative_rmse(pairs().map(|(x, t)| (x.0, t.0))),
-        relative_rmse(pairs().map(|(x, t)| (x.1, t.1))),
-    )
+    let of = |value: fn(&Seen) -> f64| {
+        let pairs: Vec<_> = seen.iter().zip(truth).map(|(x, t)| (value(x), value(t))).collect();
+        ErrorOf::new(&pairs)
+    };
+    (of(|seen| seen.0), of(|seen| seen.1))
 }
 
 #[test]
 #[ignore = "prints a table; takes half a minute"]
 #[expect(clippy::print_stdout, reason = "it is a report")]
 fn knob_table() {
-    let surfaces = cornell();
-    let (places, truth) = truth(&surfaces, 150);
-    for count in [20_000, 200_000] {
-        let octree = Octree::new(&cloud(&surfaces, count));
-        println!(
-            "{count} surfels, {} nodes, {} B",
-            octree.node_count(),
-            octree.bytes()
-        );
-        for (max_solid_angle, raster_resolution) in [
-            (0.1, 12),
-            (0.03, 8),
-            (0.03, 12),
-            (0.03, 20),
-            (0.03, 32),
-            (0.01, 12),
-            (0.01, 32),
-            (0.003, 32),
-        ] {
-            let settings = PaperSettings {
-                max_solid_angle,
-                raster_resolution,
-                max_distance: None,
-            };
-            let start = std::time::Instant::now();
-            let seen = gathered(&octree, &places, settings);
-            let micros = start.elapsed().as_micros() as usize / places.len();
-            let bias = |f: fn(&Seen) -> f64| {
-                seen.iter().map(f).sum::<f64>() / truth.iter().map(f).sum::<f64>() - 1.0
-            };
-            let (visibility, irradiance) = errors(&octree, &places, &truth, settings);
-            println!(
-                "{max_solid_angle:5} sr {raster_resolution:2}²: visibility {:.2} % (bias {:+.2}), irradiance {:.2} % (bias {:+.2}), {micros} µs",
-                100.0 * visibility,
-                100.0 * bias(|s| s.0),
-                100.0 * irradiance,
-                100.0 * bias(|s| s.1),
-            );
-        }
-    }
-}
-
-#[test]
-#[ignore]
-fn debug_one() {
-    let surfaces = cornell();
-    let octree = Octree::new(&cloud(&surfaces, 20000));
-    let place = Place {
-        position: Vec3::new(0.5, 0.5, 0.001),
-        normal: Vec3::Z,
-    };
-    println!("{:?}", ray_traced(&surfaces, place));
-    let engine = PaperEngine::new(&octree, PaperSettings::default());
-    let mut scratch = Hemisphere::default();
-    engine.see(&receivers(&[place]), 0..1, &mut scratch, &mut |_, h| {
-        for i in 0..h.weight.len() {
-            if h.direction[i].z > 0.9 {
-                println!("{} {} {}", h.direction[i], h.coverage[i], h.distance[i]);
+    let knobs = [(0.1, 12), (0.03, 8), (0.03, 12), (0.03, 32), (0.01, 12), (0.003, 32)];
+    for (name, surfaces) in [("along the axes", cornell()), ("turned", turned_cornell())] {
+        let (places, truth) = truth(&surfaces, 150);
+        for count in [20_000, 200_000] {
+            let octree = Octree::new(&cloud(&surfaces, count));
+            let bytes = octree.bytes() / octree.surfels().len();
+            println!("{name}, {count} surfels, {} nodes, {bytes} B a surfel", octree.node_count());
+            for (max_solid_angle, raster_resolution) in knobs {
+                let settings = PaperSettings {
+                    max_solid_angle,
+                    raster_resolution,
+                    max_distance: None,
+                };
+                let start = std::time::Instant::now();
+                let (visibility, irradiance) = errors(&octree, &places, &truth, settings);
+                let micros = start.elapsed().as_micros() / places.len() as u128;
+                println!(
+                    "  {max_solid_angle:5} sr, {raster_resolution:2}² pixels: visibility {visibility}, irradiance {irradiance}, {micros} µs"
+                );
             }
         }
-    });
-    for n in &octree.nodes()[..8] {
-        println!("{n:?}");
     }
 }
