@@ -3,9 +3,12 @@
 //!
 //! For each receiver: cut the octree by solid angle into clusters and surfels, sort them by distance, and draw them
 //! into six axis-aligned rasters from near to far, each element into what earlier ones left of the pixels. Clusters
-//! and surfels are rectangles along the pixel grid with the element's own second moments (the technical memo has
-//! squares of equal area, which leave gaps between them: 1.5 to 3 times the error); surfels larger than a few pixels
-//! are disks, ray cast through the middle of each pixel.
+//! and small surfels are rectangles along the pixel grid, surfels larger than a few pixels are disks, ray cast through
+//! the middle of each pixel.
+//!
+//! The technical memo draws squares of equal area instead of the rectangles here, which have the element's own second
+//! moments: in the Cornell box of tests/octree.rs at the default knobs the error of visibility is then 5.2 % instead of
+//! 2.4 %, and 20 % instead of 7 % at 32² pixels, because such squares leave gaps.
 
 mod pixels;
 mod raster;
