@@ -682,7 +682,7 @@ fn origins_far_from_zero_and_different_from_the_clouds_change_nothing() {
     let mut scratch = Hemisphere::default();
     let mut expected = Vec::new();
     see(&here, &places, |_, hemisphere| {
-        expected.push(sum(hemisphere, |i| hemisphere.coverage[i]))
+        expected.push(sum(hemisphere, |i| hemisphere.coverage[i]));
     });
     PaperEngine::new(&there, PaperSettings::default()).see(
         &moved,
@@ -708,7 +708,7 @@ fn hemispheres_do_not_depend_on_blocks_and_are_finite() {
     let mut whole = Vec::new();
     let mut scratch = Hemisphere::default();
     engine.see(&receivers, 0..receivers.len(), &mut scratch, &mut |_, h| {
-        whole.push(h.clone())
+        whole.push(h.clone());
     });
     for (i, expected) in whole.iter().enumerate() {
         engine.see(
@@ -798,11 +798,19 @@ fn foliage_covers_what_rays_find_covered_and_not_the_sum_of_its_leaves() {
             }
         })
         .collect();
+    let mut pairs = [const { Vec::new() }; 3];
     see(&octree, &places, |i, hemisphere| {
         let covered = sum(hemisphere, |i| hemisphere.coverage[i]) / std::f64::consts::PI;
-        let truth = covered_by_disks(&leaves, leaf_radius, places[i]);
-        println!("{:?} {covered} {truth}", places[i].position.length());
+        pairs[i % 3].push((covered, covered_by_disks(&leaves, leaf_radius, places[i])));
     });
+    // Plain sums of areas are 23, 25 and 44 % too high; the farthest truth has 4 % noise.
+    for pairs in pairs {
+        let error = ErrorOf::new(&pairs);
+        assert!(
+            error.bias.abs() < 0.09 && error.relative_rmse < 0.12,
+            "{error}"
+        );
+    }
 }
 
 /// Cosine-weighted share of the hemisphere that disks cover, by 64² rays.
@@ -860,6 +868,24 @@ fn knob_table() {
                     "  {max_solid_angle:5} sr, {raster_resolution:2}² pixels: visibility {visibility}, irradiance {irradiance}, {micros} µs"
                 );
             }
+        }
+    }
+}
+
+#[test]
+#[ignore]
+fn tmp_build_time() {
+    for surfaces in [cornell(), turned_cornell()] {
+        let cloud = cloud(&surfaces, 1_000_000);
+        for _ in 0..3 {
+            let start = std::time::Instant::now();
+            let octree = Octree::new(&cloud);
+            println!(
+                "{} surfels {} nodes {:?}",
+                cloud.len(),
+                octree.node_count(),
+                start.elapsed()
+            );
         }
     }
 }

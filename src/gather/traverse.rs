@@ -19,8 +19,8 @@ pub struct CutSettings {
 pub enum Element<'a> {
     /// A cluster, small and outside its own ball.
     Cluster(&'a Node),
-    /// A surfel, by its index in leaf order.
-    Surfel(usize),
+    /// A surfel of a leaf, by its index in leaf order.
+    Surfel(usize, &'a Node),
 }
 
 /// Work done for a receiver, or for many.
@@ -60,7 +60,7 @@ pub fn traverse<'a>(
                 for surfel in surfels {
                     if is_surfel_seen(octree, surfel, (position, normal), settings.max_distance) {
                         counts.surfels += 1;
-                        visit(Element::Surfel(surfel));
+                        visit(Element::Surfel(surfel, node));
                     }
                 }
             }
@@ -125,7 +125,7 @@ mod tests {
         let counts = traverse(octree, place, &settings, |element| {
             area += match element {
                 Element::Cluster(node) => node.area,
-                Element::Surfel(surfel) => octree.surfels().area[surfel],
+                Element::Surfel(surfel, _) => octree.surfels().area[surfel],
             };
         });
         (area, counts)

@@ -28,6 +28,8 @@ struct Part {
     moments: Moments,
     /// Σ area · normal.
     facing: DVec3,
+    /// Σ area · normal · (position − `center`): three times the volume, for a closed surface.
+    outward: f64,
     reflected_power: DVec3,
     emitted_power: DVec3,
     bounds: Bounds3,
@@ -124,6 +126,7 @@ impl Part {
             center: position.as_dvec3(),
             moments: square_moments(area, normal.as_dvec3()),
             facing: normal.as_dvec3() * area,
+            outward: 0.0,
             reflected_power: power(surfels.reflected[i]),
             emitted_power: power(surfels.emitted[i]),
             bounds: Bounds3 {
@@ -159,6 +162,10 @@ impl Part {
                 std::array::from_fn(|i| sum[i] + shifted[i])
             }),
             facing,
+            outward: parts
+                .iter()
+                .map(|part| part.outward + part.facing.dot(part.center - center))
+                .sum(),
             reflected_power: total(|part| part.reflected_power),
             emitted_power: total(|part| part.emitted_power),
             bounds,
@@ -173,6 +180,17 @@ impl Part {
     fn moments_about(&self, center: DVec3) -> Moments {
         let outer = products(self.center - center);
         std::array::from_fn(|i| self.moments[i] + self.area * outer[i])
+    }
+
+    /// See [`Node::convexity`].
+    fn convexity(&self) -> f64 {
+        let [xx, yy, zz, ..] = self.moments;
+        let scale = (self.area * (xx + yy + zz)).sqrt();
+        if scale > 0.0 {
+            self.outward / scale
+        } else {
+            0.0
+        }
     }
 
     /// The lobes of a flat part. Normals scattered about their mean, of mean length f, weaken band l of the clamped
@@ -223,6 +241,7 @@ impl Part {
             spread: self.spread,
             area: self.area as f32,
             facing_area: self.facing.length() as f32,
+            convexity: self.convexity() as f32,
             covariance: self.moments.map(|moment| (moment * per_area) as f32),
             reflected_power: self.reflected_power.as_vec3(),
             emitted_power: self.emitted_power.as_vec3(),

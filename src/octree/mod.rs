@@ -305,6 +305,31 @@ mod tests {
     }
 
     #[test]
+    fn a_ball_of_leaves_is_scattered_and_a_sphere_is_not() {
+        let hash = |i: usize| {
+            (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f32 / (1 << 24) as f32 - 0.5
+        };
+        let vector = |i: usize| Vec3::new(hash(3 * i), hash(3 * i + 1), hash(3 * i + 2));
+        let sphere = cloud((0..2_000).map(|i| (vector(i).normalize(), vector(i), 0.01, Vec3::ONE)));
+        let leaves = cloud((0..2_000).map(|i| (vector(i), vector(i + 5_000), 0.01, Vec3::ONE)));
+        let (sphere, leaves) = (Octree::new(&sphere), Octree::new(&leaves));
+        assert!((sphere.nodes()[0].convexity - 1.0).abs() < 0.01);
+        assert!(leaves.nodes()[0].convexity.abs() < 0.05);
+        let scattered = |tree: &Octree| {
+            tree.nodes()
+                .iter()
+                .filter(|node| node.is_scattered())
+                .count()
+        };
+        assert_eq!(scattered(&sphere), 0);
+        assert!(
+            scattered(&leaves) > leaves.node_count() / 2,
+            "{}",
+            scattered(&leaves)
+        );
+    }
+
+    #[test]
     fn a_square_patch_has_its_own_area_as_extent() {
         let patch = cloud((0..400).map(|i| {
             (

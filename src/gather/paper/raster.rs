@@ -23,6 +23,8 @@ pub(super) struct Splat {
     pub distance: f32,
     pub reflected: Vec3,
     pub emitted: Vec3,
+    /// Overlaps what is before it at random, instead of filling what that left.
+    pub is_scattered: bool,
     pub shape: Shape,
 }
 
@@ -44,7 +46,8 @@ pub(super) enum Shape {
 struct Footprint {
     center: Vec2,
     half_size: Vec2,
-    /// Share of the rectangle that is covered, times [`GAP_FILL`].
+    /// Share of the rectangle that is covered, times [`GAP_FILL`]. Where `area / rectangle` layers overlap at random,
+    /// exp(−layers) of it stays open.
     density: f32,
 }
 
@@ -135,7 +138,12 @@ impl RasterCube {
 
     /// Cover up to `coverage` of what is left of the pixel.
     fn add(&mut self, pixel: usize, coverage: f32, distance: f32, splat: &Splat) {
-        let share = coverage.min(1.0 - self.coverage[pixel]);
+        let left = 1.0 - self.coverage[pixel];
+        let share = if splat.is_scattered {
+            coverage.min(1.0) * left
+        } else {
+            coverage.min(left)
+        };
         if share > 0.0 {
             self.coverage[pixel] += share;
             self.distance[pixel] += distance * share;
@@ -193,7 +201,11 @@ fn footprint(
     (rectangle > 0.0).then(|| Footprint {
         center,
         half_size,
-        density: GAP_FILL * (area / rectangle).min(1.0),
+        density: if splat.is_scattered {
+            -GAP_FILL * (-area / rectangle).exp_m1()
+        } else {
+            GAP_FILL * (area / rectangle).min(1.0)
+        },
     })
 }
 
