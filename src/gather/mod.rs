@@ -14,6 +14,9 @@ pub use estimate::{ErrorEstimate, Reference, estimate};
 pub use radiance::{LoadedCloud, RadianceSource};
 pub use rays::{RaysEngine, RaysFactory, RaysSettings};
 
+pub mod paper;
+pub mod traverse;
+
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::lighting::{Lighting, ShadePoint};
 use crate::receivers::Receivers;

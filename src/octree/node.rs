@@ -1,0 +1,201 @@
+//! A node: where a cluster of surfels lies, how large it looks and how much it shines from a direction.
+
+use super::Octree;
+use crate::math::Bounds3;
+use crate::math::sh::Sh9;
+use glam::Vec3;
+use std::f32::consts::{FRAC_1_PI, FRAC_PI_2};
+use std::ops::Range;
+
+/// A spread node that turns less than this share of its area towards the viewer is not seen: below, the ringing of
+/// nine harmonics (up to 6 %) outweighs the area itself, and radiance, a quotient of two such series, means nothing.
+const LEAST_SEEN_SHARE: f32 = 0.01;
+
+/// Least thickness of a scattered cluster: its variance along the mean normal by that across it. A ball of leaves has 1,
+/// the part of a sphere that falls into one class of normals at most 0.1.
+const SCATTERED_THICKNESS: f32 = 0.3;
+
+/// Least absolute [`Node::convexity`] of a surface. Sixteen leaves have 0 ± 0.15.
+const SCATTERED_CONVEXITY: f32 = 0.3;
+
+/// What a node's range refers to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum NodeKind {
+    /// Indices of nodes.
+    Inner(Range<usize>),
+    /// Indices of surfels in leaf order.
+    Leaf(Range<usize>),
+}
+
+/// A cluster of surfels, aggregated. Space: relative to the tree's origin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Node {
+    /// Box around the disks.
+    pub bounds: Bounds3,
+    /// Mean position, weighted by area.
+    pub center: Vec3,
+    /// Radius of a ball about `center` that holds all disks.
+    pub radius: f32,
+    /// Mean normal, weighted by area; unit.
+    pub normal: Vec3,
+    /// No surfel's normal is farther than this from `normal`; radians, 0…π.
+    pub spread: f32,
+    /// Sum of the true areas.
+    pub area: f32,
+    /// Length of Σ area·normal: the area projected along `normal` when all surfels face one way.
+    pub facing_area: f32,
+    /// How much the normals point away from `center`: mean of normal · (position − center) by the surfels' rms distance
+    /// from it. 1 for a sphere, 0 for leaves, −1 for a hollow seen from inside.
+    pub convexity: f32,
+    /// Covariance of the covered surface about `center`: xx, yy, zz, xy, xz, yz. A square of side `s` has `s²/12`
+    /// along each of its edges.
+    pub covariance: [f32; 6],
+    /// Sum of area · reflected radiosity.
+    pub reflected_power: Vec3,
+    /// Sum of area · emission.
+    pub emitted_power: Vec3,
+    pub(super) first: u32,
+    pub(super) count: u32,
+    pub(super) is_leaf: bool,
+    pub(super) lobes: u32,
+}
+
+/// Value of `Node::lobes` for flat nodes.
+pub(super) const NO_LOBES: u32 = u32::MAX;
+
+/// Projected area and power in a direction from the cluster, for nodes of spread normals. PBGI §5.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Lobes {
+    /// Σ area · max(0, normal·ω).
+    pub area: Sh9,
+    /// Σ area · reflected radiosity · max(0, normal·ω), a channel each.
+    pub reflected: [Sh9; 3],
+    /// Σ area · emission · max(0, normal·ω), a channel each.
+    pub emitted: [Sh9; 3],
+}
+
+/// A cluster as seen from one direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Appearance {
+    /// Area projected onto the plane across the direction. Never more than the box around the cluster projects to:
+    /// what a cluttered node covers, not the sum of what overlaps in it.
+    pub projected_area: f32,
+    /// Mean reflected radiance.
+    pub reflected: Vec3,
+    /// Mean emitted radiance.
+    pub emitted: Vec3,
+}
+
+impl Node {
+    /// Its children or its surfels.
+    pub fn kind(&self) -> NodeKind {
+        let range = self.first as usize..(self.first + self.count) as usize;
+        if self.is_leaf {
+            NodeKind::Leaf(range)
+        } else {
+            NodeKind::Inner(range)
+        }
+    }
+
+    /// True when it stands for its surfels as one disk, false when [`Lobes`] do.
+    pub fn is_flat(&self) -> bool {
+        self.lobes == NO_LOBES
+    }
+
+    pub(super) fn lobes_index(&self) -> Option<usize> {
+        (!self.is_flat()).then_some(self.lobes as usize)
+    }
+
+    /// Area of the square with the covered surface's second moments: its area where it is a compact patch, more where
+    /// it is scattered.
+    pub fn extent_area(&self) -> f32 {
+        let [xx, yy, zz, ..] = self.covariance;
+        6.0 * (xx + yy + zz)
+    }
+
+    /// True if the surfels are scattered through a volume, like leaves, rather than parts of one surface: their normals
+    /// differ but do not follow from their places, and the cluster is thick along the mean normal. They overlap at
+    /// random, and cover less than the sum of their areas.
+    pub fn is_scattered(&self) -> bool {
+        let [xx, yy, zz, xy, xz, yz] = self.covariance;
+        let n = self.normal;
+        let thickness = xx * n.x * n.x
+            + yy * n.y * n.y
+            + zz * n.z * n.z
+            + 2.0 * (xy * n.x * n.y + xz * n.x * n.z + yz * n.y * n.z);
+        let width = 0.5 * (xx + yy + zz - thickness);
+        !self.is_flat()
+            && thickness > SCATTERED_THICKNESS * width
+            && self.convexity.abs() < SCATTERED_CONVEXITY
+    }
+
+    /// True if no point of no surfel can face `position`.
+    pub fn is_averted_from(&self, position: Vec3) -> bool {
+        let offset = position - self.center;
+        let nearest_angle = offset.angle_between(self.normal) - self.spread;
+        let distance = offset.length();
+        distance > self.radius && distance * nearest_angle.max(0.0).cos() + self.radius <= 0.0
+    }
+
+    /// Projected area of the box along the unit vector `direction`.
+    fn box_silhouette(&self, direction: Vec3) -> f32 {
+        let size = self.bounds.max - self.bounds.min;
+        let faces = Vec3::new(size.y * size.z, size.z * size.x, size.x * size.y);
+        faces.dot(direction.abs())
+    }
+}
+
+impl Octree {
+    /// How `node` looks from far away in the direction of the unit vector `toward` (from the cluster); `None` when it
+    /// shows no front. The area is exact where all its surfels face the viewer.
+    pub fn appearance(&self, node: &Node, toward: Vec3) -> Option<Appearance> {
+        let cos = node.normal.dot(toward);
+        let seen = match self.lobes(node) {
+            None => flat_appearance(node, cos),
+            Some(lobes) => spread_appearance(node, lobes, toward),
+        }?;
+        Some(Appearance {
+            projected_area: seen.projected_area.min(node.box_silhouette(toward)),
+            ..seen
+        })
+    }
+}
+
+/// The node as one disk.
+fn flat_appearance(node: &Node, cos: f32) -> Option<Appearance> {
+    if cos <= 0.0 || node.facing_area <= 0.0 {
+        return None;
+    }
+    let per_area = FRAC_1_PI / node.area;
+    Some(Appearance {
+        projected_area: node.facing_area * cos,
+        reflected: node.reflected_power * per_area,
+        emitted: node.emitted_power * per_area,
+    })
+}
+
+/// The node as harmonics; where all its surfels face the viewer, as the vectors in their first band, which is exact.
+fn spread_appearance(node: &Node, lobes: &Lobes, toward: Vec3) -> Option<Appearance> {
+    let angle = node.normal.angle_between(toward);
+    if angle - node.spread >= FRAC_PI_2 {
+        return None;
+    }
+    let value: fn(&Sh9, Vec3) -> f32 = if angle + node.spread <= FRAC_PI_2 {
+        |lobe, toward| lobe.cosine_vector().dot(toward)
+    } else {
+        |lobe, toward| lobe.evaluate(toward)
+    };
+    let area = value(&lobes.area, toward);
+    if area <= LEAST_SEEN_SHARE * node.area {
+        return None;
+    }
+    let radiance = |power: &[Sh9; 3]| {
+        let per_channel = power.each_ref().map(|lobe| value(lobe, toward).max(0.0));
+        Vec3::from_array(per_channel) * (FRAC_1_PI / area)
+    };
+    Some(Appearance {
+        projected_area: area,
+        reflected: radiance(&lobes.reflected),
+        emitted: radiance(&lobes.emitted),
+    })
+}
