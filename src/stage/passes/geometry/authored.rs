@@ -291,7 +291,10 @@ mod tests {
         let authored = read.unwrap().unwrap();
         assert_eq!(authored.points[1] - authored.points[0], Vec3::X);
         assert!(authored.points[0].length() < 1.0);
-        assert_eq!(authored.center + authored.points[0].as_dvec3(), far.as_dvec3());
+        assert_eq!(
+            authored.center + authored.points[0].as_dvec3(),
+            far.as_dvec3()
+        );
     }
 
     #[test]

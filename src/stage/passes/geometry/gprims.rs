@@ -366,8 +366,14 @@ mod tests {
     #[track_caller]
     fn assert_size(mesh: &Mesh, area: f64, volume: f64) {
         let (got_area, got_volume, cosine) = measure(mesh);
-        assert!((got_area / area - 1.0).abs() < 2e-3, "{got_area} for {area}");
-        assert!((got_volume / volume - 1.0).abs() < 3e-3, "{got_volume} for {volume}");
+        assert!(
+            (got_area / area - 1.0).abs() < 2e-3,
+            "{got_area} for {area}"
+        );
+        assert!(
+            (got_volume / volume - 1.0).abs() < 3e-3,
+            "{got_volume} for {volume}"
+        );
         assert!(cosine > 0.99, "normals lean by {cosine}");
     }
 
@@ -399,7 +405,11 @@ mod tests {
         let capsule = gprim("Capsule_1", &radii, "Y");
         let halves = 2.0 / 3.0 * PI * 28.0;
         assert_size(&capsule, side + TAU * 10.0, frustum_volume + halves);
-        let top = capsule.positions.iter().map(|p| p.y).fold(f32::MIN, f32::max);
+        let top = capsule
+            .positions
+            .iter()
+            .map(|p| p.y)
+            .fold(f32::MIN, f32::max);
         assert_eq!(top, 2.0);
     }
 

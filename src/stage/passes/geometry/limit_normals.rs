@@ -2,8 +2,9 @@
 //!
 //! Tangents are the eigenvectors of the subdivision rules: Halstead et al., *Efficient, Fair Interpolation using
 //! Catmull-Clark Surfaces* (1993) for smooth Catmull-Clark vertices, Loop (1987) for smooth Loop vertices, Biermann
-//! et al., *Piecewise Smooth Subdivision Surfaces with Normal Control* (2000) along creases and boundaries. Corners,
-//! non-manifold vertices and vanishing tangents take the angle-weighted mean of the sector's faces at their limit.
+//! et al., *Piecewise Smooth Subdivision Surfaces with Normal Control* (2000) and Hoppe et al., *Piecewise Smooth
+//! Surface Reconstruction* (1994) along creases and boundaries. Other vertices (pinned without sharp edges, between
+//! turned faces) and vanishing tangents take the angle-weighted mean of the sector's faces at their limit.
 
 use super::authored::Scheme;
 use glam::{DVec3, Vec3};
@@ -158,15 +159,15 @@ impl LevelData<'_> {
 
     /// Normal from the tangent rules; `None` where they do not hold or vanish.
     fn tangent_normal(&self, vertex: usize, sector: &Sector) -> Option<DVec3> {
-        if self.level.vertex_sharpness(vertex) > 0.0 {
-            return None;
-        }
         let edges = self.level.vertex_edges(vertex).iter();
         let sharp = edges
             .filter(|&&edge| self.level.edge_sharpness(edge as usize) > 0.0)
             .count();
+        let is_corner = sharp > 2 || self.level.vertex_sharpness(vertex) > 0.0;
         let all_faces = self.level.vertex_faces(vertex).len();
         let (across, along) = match (sector.is_closed, sharp, self.scheme) {
+            (true, ..) if is_corner => return None,
+            (false, ..) if is_corner => self.corner(vertex, sector),
             (true, 0, Scheme::CatmullClark) => self.smooth_quads(vertex, sector),
             (true, 0, Scheme::Loop) => self.smooth_triangles(vertex, sector),
             // A dart: one sharp edge, around which the rule is smooth.
@@ -183,7 +184,18 @@ impl LevelData<'_> {
         let normal = across.cross(along).try_normalize()?;
         // The rules fix the plane; which side is front is what the faces say.
         let mean = self.mean_normal(vertex, sector);
-        Some(if normal.dot(mean) < 0.0 { -normal } else { normal })
+        Some(if normal.dot(mean) < 0.0 {
+            -normal
+        } else {
+            normal
+        })
+    }
+
+    /// A pinned vertex: the sharp edges that bound the sector leave it straight at every level.
+    fn corner(&self, vertex: usize, sector: &Sector) -> (DVec3, DVec3) {
+        let spokes = self.spokes(vertex, sector);
+        let center = self.position(vertex);
+        (spokes[0] - center, spokes[spokes.len() - 1] - center)
     }
 
     fn smooth_quads(&self, vertex: usize, sector: &Sector) -> (DVec3, DVec3) {
@@ -231,6 +243,10 @@ impl LevelData<'_> {
         let [first, .., last] = spokes.as_slice() else {
             return (DVec3::ZERO, DVec3::ZERO);
         };
+        if sector.faces.len() == 1 {
+            // The rule below vanishes: in one face both tangents but the crease's shrink by a quarter a level.
+            return (*first + *last - 2.0 * self.position(vertex), *last - *first);
+        }
         let step = PI / as_f64(sector.faces.len());
         let (sine, cosine) = step.sin_cos();
         let ratio = (cosine + 1.0) / sine;
@@ -255,6 +271,7 @@ impl LevelData<'_> {
         let across = match sector.faces.len() {
             1 => *first + *last - 2.0 * center,
             2 => spokes[1] - center,
+            3 => 2.0 * (spokes[1] + spokes[2] - center) - *first - *last,
             count => {
                 let step = PI / as_f64(count);
                 let ends = step.sin() * (*first + *last);

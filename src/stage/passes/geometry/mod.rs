@@ -25,7 +25,7 @@ use super::super::{Error, ReadSettings};
 use super::flatten::Occurrence;
 use super::look::Look;
 use crate::diagnostics::Diagnostics;
-use crate::scene::{FaceMaterials, MaterialId, Mesh, MeshId, Prim};
+use crate::scene::{FaceMaterials, MaterialId, Mesh, MeshId, Prim, PrimSource};
 use authored::{AuthoredMesh, Scheme, local_origin};
 use glam::{Affine3A, DAffine3, DMat4, DVec3};
 use placement::{Kind, Placement};
@@ -138,7 +138,13 @@ impl Layout<'_> {
         sources: &'b [Source<'b>],
     ) -> Vec<refinement::Demand<'b>> {
         let target = self.settings.refine_edge.map_or_else(
-            || refinement::default_edge(world::bounds(self.raw, self.occurrences, &self.placements)),
+            || {
+                refinement::default_edge(world::bounds(
+                    self.raw,
+                    self.occurrences,
+                    &self.placements,
+                ))
+            },
             f64::from,
         );
         let scale = |geometry: &Geometry| {
@@ -175,45 +181,57 @@ impl Layout<'_> {
                 let world_from_object = self.placements[placement].world_from_object;
                 origin_from_world * world_from_object * DMat4::from_translation(center)
             };
-            if let [only] = geometry.uses[..] {
-                if !self.is_usable(only, matrix(only), diagnostics) {
+            let mut is_drawn = false;
+            let is_shared = geometry.uses.len() > 1;
+            for &placement in &geometry.uses {
+                let matrix = matrix(placement);
+                if !self.is_usable(placement, matrix, is_shared, diagnostics) {
                     continue;
                 }
-                world::bake(&mut mesh, matrix(only));
-                of_placement[only] = Some((id, Affine3A::IDENTITY));
-            } else {
-                for &placement in &geometry.uses {
-                    if self.is_usable(placement, matrix(placement), diagnostics) {
-                        let affine = DAffine3::from_mat4(matrix(placement)).as_affine3a();
-                        of_placement[placement] = Some((id, affine));
-                    }
-                }
+                let affine = if is_shared {
+                    DAffine3::from_mat4(matrix).as_affine3a()
+                } else {
+                    world::bake(&mut mesh, matrix);
+                    Affine3A::IDENTITY
+                };
+                of_placement[placement] = Some((id, affine));
+                is_drawn = true;
+            }
+            if !is_drawn {
+                continue;
             }
             meshes.push(mesh);
         }
         (meshes, self.prims(of_placement, look))
     }
 
-    /// Transforms that are not finite, or that flatten a shared mesh, draw nothing.
-    fn is_usable(&self, placement: usize, matrix: DMat4, diagnostics: &Diagnostics) -> bool {
-        let (is_finite, is_flat) = (
-            matrix.is_finite(),
-            world::is_singular(matrix),
+    /// Transforms that are not finite draw nothing, nor do those that flatten a shared mesh: whoever traces it needs
+    /// the inverse.
+    fn is_usable(
+        &self,
+        placement: usize,
+        matrix: DMat4,
+        is_shared: bool,
+        diagnostics: &Diagnostics,
+    ) -> bool {
+        let flaw = if !matrix.is_finite() {
+            "is not finite"
+        } else if is_shared && world::is_singular(matrix) {
+            "flattens a shared mesh"
+        } else {
+            return true;
+        };
+        // One warning for all points of an instancer: scaling points to nothing is a common way to hide them.
+        let path = match &self.placements[placement].source {
+            PrimSource::PointInstance { instancer, .. } => instancer,
+            _ => &self.placements[placement].path,
+        };
+        diagnostics.warn(
+            "degenerate-transform",
+            path.clone(),
+            format!("what is drawn with a transform that {flaw} is left out"),
         );
-        if !is_finite || is_flat {
-            let source = &self.placements[placement].source;
-            let path = match source {
-                crate::scene::PrimSource::PointInstance { instancer, .. } => instancer,
-                _ => &self.placements[placement].path,
-            };
-            let flaw = if is_finite { "flatten it to nothing" } else { "are not finite" };
-            diagnostics.warn(
-                "degenerate-transform",
-                path.clone(),
-                format!("prims are left out whose transforms {flaw}"),
-            );
-        }
-        is_finite && !is_flat
+        false
     }
 
     fn prims(&self, of_placement: Vec<Option<(MeshId, Affine3A)>>, look: &Look) -> Vec<Prim> {
@@ -395,7 +413,7 @@ mod tests {
     use super::super::super::raw::{RawAttribute, RawRelationship, Value};
     use super::super::flatten::flatten;
     use super::*;
-    use crate::scene::{Interpolation, Normals, PrimSource, Purpose};
+    use crate::scene::{Interpolation, Normals, Purpose};
     use glam::{DQuat, Vec3, Vec4};
 
     pub(super) fn with_attribute(
@@ -497,7 +515,14 @@ mod tests {
     #[test]
     fn a_mesh_drawn_once_is_in_world_space_and_twice_is_shared() {
         let mut instances: Vec<RawPrim> = (0..2_u8)
-            .map(|i| moved(prim(&format!("/i{i}"), "Xform", None), f64::from(i), 0.0, 0.0))
+            .map(|i| {
+                moved(
+                    prim(&format!("/i{i}"), "Xform", None),
+                    f64::from(i),
+                    0.0,
+                    0.0,
+                )
+            })
             .collect();
         for instance in &mut instances {
             instance.prototype = Some(3);
@@ -517,7 +542,10 @@ mod tests {
         assert_eq!(paths, ["/i0/t", "/i1/t", "/single"]);
         assert_eq!(built.prims[0].mesh, built.prims[1].mesh);
         assert_eq!(built.prims[1].world_from_object.translation.x, 1.0);
-        assert_eq!(built.meshes[built.prims[0].mesh.index()].positions[0], Vec3::ZERO);
+        assert_eq!(
+            built.meshes[built.prims[0].mesh.index()].positions[0],
+            Vec3::ZERO
+        );
         assert_eq!(built.prims[2].world_from_object, Affine3A::IDENTITY);
         let world = &built.meshes[built.prims[2].mesh.index()];
         assert_eq!(world.positions[1], Vec3::new(6.0, 0.0, 0.0));
@@ -575,7 +603,11 @@ mod tests {
         let prim = with_attribute(prim, "normals", normals, None);
         let built = build_all(vec![transformed(prim, shear)]);
         let mesh = &built.meshes[0];
-        assert!(mesh.shading_normal(0, 0.2, 0.2).distance(mesh.plane_normal(0)) < 1e-6);
+        assert!(
+            mesh.shading_normal(0, 0.2, 0.2)
+                .distance(mesh.plane_normal(0))
+                < 1e-6
+        );
     }
 
     #[test]
@@ -630,19 +662,35 @@ mod tests {
         let paths: Vec<_> = built.prims.iter().map(|p| p.path.as_str()).collect();
         assert_eq!(paths, ["/W/PI[0]/A/t", "/W/PI[1]/B", "/W/PI[2]/A/t"]);
         let rows = [
-            [0.000213623046875, 0.0, 0.999786376953125, 10.99786376953125 + 7.0],
+            [
+                0.000213623046875,
+                0.0,
+                0.999786376953125,
+                10.99786376953125 + 7.0,
+            ],
             [0.0, 1.0, 0.0, 2.0 + 1.0],
             [-0.999786376953125, 0.0, 0.000213623046875, 3.00213623046875],
         ];
         let got = built.prims[0].world_from_object;
         for (r, row) in rows.iter().enumerate() {
             for (c, &value) in row.iter().enumerate() {
-                let got = if c < 3 { got.matrix3.col(c)[r] } else { got.translation[r] };
-                assert!((f64::from(got) - value).abs() < 1e-6, "row {r} column {c}: {got}");
+                let got = if c < 3 {
+                    got.matrix3.col(c)[r]
+                } else {
+                    got.translation[r]
+                };
+                assert!(
+                    (f64::from(got) - value).abs() < 1e-6,
+                    "row {r} column {c}: {got}"
+                );
             }
         }
         let last = built.prims[2].world_from_object;
-        let images = [last.matrix3.x_axis, last.matrix3.y_axis, last.matrix3.z_axis];
+        let images = [
+            last.matrix3.x_axis,
+            last.matrix3.y_axis,
+            last.matrix3.z_axis,
+        ];
         let expected = [Vec3::NEG_Y, 2.0 * Vec3::Z, Vec3::X];
         for (image, expected) in images.iter().zip(expected) {
             assert!(Vec3::from(*image).distance(expected) < 1e-6);
@@ -681,10 +729,16 @@ mod tests {
         let mut prims = instancer_stage();
         prims[1] = with_ints(prims[1].clone(), "protoIndices", &[0, 7, -1]);
         let built = build_all(prims.clone());
-        assert_eq!((built.prims.len(), built.warnings), (1, vec!["bad-instance".to_owned()]));
+        assert_eq!(
+            (built.prims.len(), built.warnings),
+            (1, vec!["bad-instance".to_owned()])
+        );
         prims[1] = with_ints(prims[1].clone(), "protoIndices", &[0, 1]);
         let built = build_all(prims);
-        assert_eq!((built.prims.len(), built.warnings), (0, vec!["bad-instancer".to_owned()]));
+        assert_eq!(
+            (built.prims.len(), built.warnings),
+            (0, vec!["bad-instancer".to_owned()])
+        );
     }
 
     #[test]
@@ -697,7 +751,8 @@ mod tests {
                 targets: vec![target.to_owned()],
                 bind_material_as: None,
             };
-            prim.relationships.insert("prototypes".to_owned(), relationship);
+            prim.relationships
+                .insert("prototypes".to_owned(), relationship);
             prim
         };
         let outer = points(prim("/o", "PointInstancer", None), "/o/i");
@@ -725,7 +780,10 @@ mod tests {
 
     #[test]
     fn instancers_inside_native_instances_find_the_prototypes_of_their_instance() {
-        let mut prims = vec![prim("/A", "Xform", None), moved(prim("/B", "Xform", None), 5.0, 0.0, 0.0)];
+        let mut prims = vec![
+            prim("/A", "Xform", None),
+            moved(prim("/B", "Xform", None), 5.0, 0.0, 0.0),
+        ];
         prims[0].prototype = Some(2);
         prims[1].prototype = Some(2);
         prims.push(prim("/__Prototype_1", "Xform", None));
@@ -756,7 +814,12 @@ mod tests {
         let positions = (0..count).map(|i| Vec3::splat(i as f32)).collect();
         prims[1].attributes.remove("scales");
         prims[1].attributes.remove("orientations");
-        prims[1] = with_attribute(prims[1].clone(), "positions", Value::Vec3Array(positions), None);
+        prims[1] = with_attribute(
+            prims[1].clone(),
+            "positions",
+            Value::Vec3Array(positions),
+            None,
+        );
         prims[1] = with_ints(prims[1].clone(), "protoIndices", &vec![0; count as usize]);
         let start = std::time::Instant::now();
         let built = build_all(prims);
@@ -783,7 +846,11 @@ mod tests {
             ..RawStage::default()
         };
         let look = Look {
-            binding: vec![Some(MaterialId(4)), Some(MaterialId(7)), Some(MaterialId(9))],
+            binding: vec![
+                Some(MaterialId(4)),
+                Some(MaterialId(7)),
+                Some(MaterialId(9)),
+            ],
             ..Look::default()
         };
         let materials = &try_build(&raw, &look).unwrap().prims[0].materials;
@@ -814,14 +881,23 @@ mod tests {
         let colors: Vec<_> = built
             .prims
             .iter()
-            .map(|p| built.meshes[p.mesh.index()].primvar("displayColor").unwrap().values[0].x)
+            .map(|p| {
+                built.meshes[p.mesh.index()]
+                    .primvar("displayColor")
+                    .unwrap()
+                    .values[0]
+                    .x
+            })
             .collect();
         assert_eq!(colors, [0.25, 0.5, 0.5]);
     }
 
     #[test]
     fn types_that_cannot_be_drawn_are_named() {
-        let built = build_all(vec![prim("/hair", "BasisCurves", None), prim("/x", "Xform", None)]);
+        let built = build_all(vec![
+            prim("/hair", "BasisCurves", None),
+            prim("/x", "Xform", None),
+        ]);
         assert_eq!(built.warnings, ["unsupported-prim"]);
     }
 
@@ -858,7 +934,11 @@ mod tests {
         let cone = transformed(prim("/c", "Cone", None), turn);
         let built = build_all(vec![cone]);
         assert!(matches!(built.meshes[0].normals, Normals::Vertex(_)));
-        let tip = built.meshes[0].positions.iter().map(|p| p.y).fold(f32::MAX, f32::min);
+        let tip = built.meshes[0]
+            .positions
+            .iter()
+            .map(|p| p.y)
+            .fold(f32::MAX, f32::min);
         assert!((tip + 1.0).abs() < 1e-6, "{tip}");
     }
 }

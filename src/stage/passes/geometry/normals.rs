@@ -51,9 +51,7 @@ impl CageNormals {
 
     fn from_primvar(normals: &AuthoredPrimvar, topology: &Topology) -> Self {
         let expanded = normals.expanded();
-        let mut values = expanded
-            .iter()
-            .map(|v| v.truncate().normalize_or_zero());
+        let mut values = expanded.iter().map(|v| v.truncate().normalize_or_zero());
         match normals.layout {
             Layout::Vertex | Layout::Varying => Self::Point(values.collect()),
             Layout::FaceVarying => Self::Corner(values.collect()).merged(topology),

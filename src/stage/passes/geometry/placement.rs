@@ -228,7 +228,7 @@ impl<'a> Walk<'a> {
                 instancer,
                 "the instancer is among its own prototypes; it is left out there",
             );
-            return Vec::new();
+            return vec![Vec::new(); targets.len()];
         }
         let mut parts = Vec::with_capacity(targets.len());
         for target in targets {
@@ -265,7 +265,10 @@ impl<'a> Walk<'a> {
         }
         let root_path = &self.raw.prims[root].path;
         let is_prototype = root >= self.raw.prototype_start;
-        if let Some(below) = target.strip_prefix(root_path.as_str()).filter(|_| is_prototype) {
+        if let Some(below) = target
+            .strip_prefix(root_path.as_str())
+            .filter(|_| is_prototype)
+        {
             let instance = occurrence.path.strip_suffix(&raw_path[root_path.len()..])?;
             return by_path.get(format!("{instance}{below}").as_str()).copied();
         }
@@ -275,7 +278,10 @@ impl<'a> Walk<'a> {
     /// Drawables of `root` and below, nested instancers unfolded.
     fn parts_below(&mut self, root: usize) -> Vec<Part> {
         let end = self.subtree_ends[root];
-        let parent_path = self.occurrences[root].path.rfind('/').map_or(0, |slash| slash + 1);
+        let parent_path = self.occurrences[root]
+            .path
+            .rfind('/')
+            .map_or(0, |slash| slash + 1);
         // Transform, visibility and purpose relative to the root, one for every occurrence below it.
         let mut inherited: Vec<(DMat4, bool, Option<Purpose>)> = Vec::with_capacity(end - root);
         let mut parts = Vec::new();
@@ -283,8 +289,10 @@ impl<'a> Walk<'a> {
         for index in root..end {
             let prim = self.prim(index);
             let parent = self.occurrences[index].parent.filter(|_| index > root);
-            let (matrix, visible, purpose) =
-                parent.map_or((DMat4::IDENTITY, true, None), |parent| inherited[parent - root]);
+            let (matrix, visible, purpose) = parent
+                .map_or((DMat4::IDENTITY, true, None), |parent| {
+                    inherited[parent - root]
+                });
             let local = xform::local(prim);
             let state = (
                 matrix * local.parent_from_local,
@@ -355,7 +363,10 @@ impl<'a> Walk<'a> {
                 self.warn(
                     "bad-instancer",
                     instancer,
-                    format!("it is left out: it has {count} {name} for {} protoIndices", prototypes.len()),
+                    format!(
+                        "it is left out: it has {count} {name} for {} protoIndices",
+                        prototypes.len()
+                    ),
                 );
                 return Vec::new();
             }

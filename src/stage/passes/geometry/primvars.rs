@@ -62,7 +62,12 @@ impl AuthoredPrimvar {
         let attribute = prim.attributes.get(&format!("primvars:{name}"))?;
         attribute.value.as_ref()?;
         let indices = prim.attributes.get(&format!("primvars:{name}:indices"));
-        let read = read_attribute(attribute, indices, attribute.interpolation.as_deref(), topology);
+        let read = read_attribute(
+            attribute,
+            indices,
+            attribute.interpolation.as_deref(),
+            topology,
+        );
         match read {
             Ok(mut primvar) => {
                 name.clone_into(&mut primvar.name);
@@ -96,7 +101,10 @@ impl AuthoredPrimvar {
             diagnostics.warn(
                 "non-finite-primvar",
                 prim.path.clone(),
-                format!("{count} values of primvars:{} are not finite and count as 0", self.name),
+                format!(
+                    "{count} values of primvars:{} are not finite and count as 0",
+                    self.name
+                ),
             );
         }
     }
@@ -112,9 +120,7 @@ impl AuthoredPrimvar {
         match self.layout {
             Layout::Constant => self.finish(Interpolation::Constant, self.expanded()),
             Layout::Uniform => self.finish(Interpolation::Uniform, self.expanded()),
-            Layout::Vertex | Layout::Varying => {
-                self.finish(Interpolation::Vertex, self.expanded())
-            }
+            Layout::Vertex | Layout::Varying => self.finish(Interpolation::Vertex, self.expanded()),
             Layout::FaceVarying => {
                 let corners = triangulation.corners.iter();
                 let corners = corners.map(|t| t.map(|corner| self.elements[corner as usize]));
@@ -146,9 +152,7 @@ pub(super) fn read_attribute(
 ) -> Result<AuthoredPrimvar, String> {
     let layout = Layout::from_token(interpolation).ok_or_else(|| {
         let word = interpolation.unwrap_or_default();
-        format!(
-            "interpolation {word:?} is none of constant, uniform, varying, vertex, faceVarying"
-        )
+        format!("interpolation {word:?} is none of constant, uniform, varying, vertex, faceVarying")
     })?;
     let (components, values) = vectors(attribute)?;
     let count = layout.element_count(topology);
@@ -181,9 +185,8 @@ fn checked(indices: &[i32], value_count: usize, count: usize) -> Result<Vec<u32>
         let in_range = u32::try_from(index)
             .ok()
             .filter(|&i| (i as usize) < value_count);
-        in_range.ok_or_else(|| {
-            format!("index {index} is out of range, there are {value_count} values")
-        })
+        in_range
+            .ok_or_else(|| format!("index {index} is out of range, there are {value_count} values"))
     };
     indices.iter().map(valid).collect()
 }
@@ -240,7 +243,11 @@ fn grouped(value: &Value, size: usize) -> Result<(u8, Vec<Vec4>), String> {
             values.len()
         ));
     }
-    let vector = |group: &[f32]| Vec4::from_array(std::array::from_fn(|i| group.get(i).copied().unwrap_or(0.0)));
+    let vector = |group: &[f32]| {
+        Vec4::from_array(std::array::from_fn(|i| {
+            group.get(i).copied().unwrap_or(0.0)
+        }))
+    };
     Ok((components, values.chunks(size).map(vector).collect()))
 }
 
@@ -304,7 +311,10 @@ mod tests {
             assert!(warnings.is_empty());
             let (primvar, warnings) = read(floats(count + 1), interpolation, None);
             assert_eq!(primvar, None);
-            assert!(warnings[0].ends_with(&format!("needs {count}")), "{warnings:?}");
+            assert!(
+                warnings[0].ends_with(&format!("needs {count}")),
+                "{warnings:?}"
+            );
         }
     }
 

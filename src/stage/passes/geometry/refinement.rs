@@ -83,7 +83,9 @@ impl Plan {
     }
 
     fn level(&self, coarser: usize) -> usize {
-        self.wanted.saturating_sub(coarser).clamp(self.least, MAX_LEVEL)
+        self.wanted
+            .saturating_sub(coarser)
+            .clamp(self.least, MAX_LEVEL)
     }
 
     fn faces(&self, level: usize) -> u64 {
@@ -108,4 +110,74 @@ fn longest_edge(mesh: &AuthoredMesh) -> f64 {
         })
     });
     longest.fold(0.0, f64::max).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::super::raw::{RawPrim, Value};
+    use super::super::tests::{mesh, with_attribute, with_ints, with_token};
+    use super::*;
+    use glam::Vec3;
+
+    /// A row of unit quads.
+    fn strip(count: i32) -> RawPrim {
+        let indices: Vec<i32> = (0..count)
+            .flat_map(|i| [2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1])
+            .collect();
+        #[expect(clippy::cast_precision_loss, reason = "below 2^24")]
+        let points: Vec<Vec3> = (0..=count)
+            .flat_map(|i| [Vec3::X * i as f32, Vec3::X * i as f32 + Vec3::Y])
+            .collect();
+        let counts = vec![4; usize::try_from(count).unwrap()];
+        let prim = mesh("/m", &points, &counts, &indices);
+        with_token(prim, "subdivisionScheme", "catmullClark")
+    }
+
+    fn level(prim: &RawPrim, edges: &[f64]) -> (Vec<usize>, usize) {
+        let diagnostics = Diagnostics::default();
+        let authored = AuthoredMesh::read(prim, &[], &[], &diagnostics);
+        let authored = authored.unwrap().unwrap();
+        let demands: Vec<Demand> = edges
+            .iter()
+            .map(|&edge| Demand::Refined(&authored, edge))
+            .collect();
+        (levels(&demands, &diagnostics), diagnostics.warnings().len())
+    }
+
+    #[test]
+    fn edges_are_halved_until_they_are_short_enough_within_bounds() {
+        let strip = strip(3);
+        for (edge, expected) in [(2.0, 1), (0.5, 1), (0.26, 2), (0.25, 2), (0.1, 4), (0.0, 4)] {
+            assert_eq!(level(&strip, &[edge]), (vec![expected], 0), "edge {edge}");
+        }
+    }
+
+    #[test]
+    fn a_scene_beyond_the_budget_is_refined_less_everywhere() {
+        // 40 000 faces at level 4 are 10 M, at level 3 2.56 M, at level 2 640 k; four meshes of them 2.56 M.
+        let strip = strip(40_000);
+        assert_eq!(level(&strip, &[0.01]).0, [2]);
+        assert_eq!(level(&strip, &[0.01; 4]).0, [1; 4]);
+        assert_eq!(level(&strip, &[0.01, 1.0]).0, [2, 1]);
+    }
+
+    #[test]
+    fn creases_raise_the_level_as_far_as_the_budget_allows() {
+        let creased = |count: i32, sharpness: f32| {
+            let prim = with_ints(strip(count), "creaseIndices", &[0, 2]);
+            let prim = with_ints(prim, "creaseLengths", &[2]);
+            let sharpness = Value::FloatArray(vec![sharpness]);
+            with_attribute(prim, "creaseSharpnesses", sharpness, None)
+        };
+        assert_eq!(level(&creased(3, 2.5), &[2.0]), (vec![3], 0));
+        assert_eq!(level(&creased(3, 7.0), &[2.0]), (vec![4], 1));
+        assert_eq!(level(&creased(40_000, 3.0), &[2.0]), (vec![2], 1));
+    }
+
+    #[test]
+    fn nothing_to_refine_gives_level_zero() {
+        let diagnostics = Diagnostics::default();
+        assert_eq!(levels(&[Demand::None], &diagnostics), [0]);
+        assert_eq!(default_edge((DVec3::INFINITY, DVec3::NEG_INFINITY)), 0.0);
+    }
 }

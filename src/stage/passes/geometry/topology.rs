@@ -184,7 +184,10 @@ fn drawn_faces(prim: &RawPrim, counts: &[u32], diagnostics: &Diagnostics) -> Vec
     }
     let mut unknown = 0;
     for &hole in ints(prim, "holeIndices") {
-        match usize::try_from(hole).ok().and_then(|face| is_drawn.get_mut(face)) {
+        match usize::try_from(hole)
+            .ok()
+            .and_then(|face| is_drawn.get_mut(face))
+        {
             Some(drawn) => *drawn = false,
             None => unknown += 1,
         }
@@ -220,19 +223,28 @@ mod tests {
 
     #[test]
     fn errors_name_the_index_and_what_would_be_right() {
-        let message = |counts: &[i32], indices: &[i32]| read(counts, indices, 3).unwrap_err().to_string();
+        let message =
+            |counts: &[i32], indices: &[i32]| read(counts, indices, 3).unwrap_err().to_string();
         assert_eq!(
             message(&[3], &[0, 1, 3]),
             "mesh /m: face vertex index 3 is out of range, the mesh has 3 points"
         );
         assert!(message(&[3], &[0, -1, 2]).contains("index -1 is out of range"));
-        assert!(message(&[4], &[0, 1, 2]).contains("has 3 entries, the sum of faceVertexCounts asks for 4"));
+        assert!(
+            message(&[4], &[0, 1, 2])
+                .contains("has 3 entries, the sum of faceVertexCounts asks for 4")
+        );
         assert!(message(&[-3], &[]).contains("face 0 has a vertex count of -3"));
     }
 
     #[test]
     fn holes_and_faces_of_two_vertices_are_not_drawn() {
-        let prim = mesh("/m", &[Vec3::ZERO; 3], &[3, 2, 3], &[0, 1, 2, 0, 1, 2, 1, 0]);
+        let prim = mesh(
+            "/m",
+            &[Vec3::ZERO; 3],
+            &[3, 2, 3],
+            &[0, 1, 2, 0, 1, 2, 1, 0],
+        );
         let prim = with_ints(prim, "holeIndices", &[0, 7]);
         let diagnostics = Diagnostics::default();
         let topology = Topology::read(&prim, 3, &diagnostics).unwrap();

@@ -25,7 +25,8 @@ impl Triangulation {
             let [a, b, c] = triangle;
             if a != b && b != c && c != a {
                 self.triangles.push(triangle);
-                self.corners.push(local.map(|i| first_corner + local_index(i)));
+                self.corners
+                    .push(local.map(|i| first_corner + local_index(i)));
                 self.faces.push(face);
             }
         };
@@ -63,8 +64,13 @@ pub(super) fn area_vector(points: &[u32], positions: &[Vec3]) -> DVec3 {
 fn polygon(points: &[u32], positions: &[Vec3], push: &mut impl FnMut([usize; 3])) {
     let flat = project(points, positions);
     let count = points.len();
-    let is_convex =
-        (0..count).all(|i| turn(flat[(i + count - 1) % count], flat[i], flat[(i + 1) % count]) >= 0.0);
+    let is_convex = (0..count).all(|i| {
+        turn(
+            flat[(i + count - 1) % count],
+            flat[i],
+            flat[(i + 1) % count],
+        ) >= 0.0
+    });
     // A spiral turns the same way everywhere: a convex outline winds around once only.
     if is_convex && winds_once(&flat) {
         for i in 1..count - 1 {
@@ -80,7 +86,11 @@ fn project(points: &[u32], positions: &[Vec3]) -> Vec<DVec2> {
     let origin = positions[points[0] as usize].as_dvec3();
     let normal = area_vector(points, positions).normalize_or(DVec3::Z);
     let (x, y) = normal.any_orthonormal_pair();
-    let handed = if x.cross(y).dot(normal) < 0.0 { -1.0 } else { 1.0 };
+    let handed = if x.cross(y).dot(normal) < 0.0 {
+        -1.0
+    } else {
+        1.0
+    };
     points
         .iter()
         .map(|&i| {
@@ -116,7 +126,11 @@ fn clip_ears(flat: &[DVec2], push: &mut impl FnMut([usize; 3])) {
     while left.len() > 3 {
         let count = left.len();
         at %= count;
-        let corner = [left[(at + count - 1) % count], left[at], left[(at + 1) % count]];
+        let corner = [
+            left[(at + count - 1) % count],
+            left[at],
+            left[(at + 1) % count],
+        ];
         if since_last_ear >= count {
             at = straightest(flat, &left);
         } else if !is_ear(flat, &left, corner) {
@@ -124,7 +138,11 @@ fn clip_ears(flat: &[DVec2], push: &mut impl FnMut([usize; 3])) {
             since_last_ear += 1;
             continue;
         }
-        let corner = [left[(at + count - 1) % count], left[at], left[(at + 1) % count]];
+        let corner = [
+            left[(at + count - 1) % count],
+            left[at],
+            left[(at + 1) % count],
+        ];
         push(corner);
         left.remove(at);
         // Going on one corner further keeps fans short: slivers come only where the outline asks for them.
@@ -215,8 +233,16 @@ mod tests {
     #[test]
     fn a_square_with_a_bridged_hole_keeps_its_area() {
         let ring = flat(&[
-            [0., 0.], [4., 0.], [4., 4.], [0., 4.], [0., 0.],
-            [1., 1.], [1., 3.], [3., 3.], [3., 1.], [1., 1.],
+            [0., 0.],
+            [4., 0.],
+            [4., 4.],
+            [0., 4.],
+            [0., 0.],
+            [1., 1.],
+            [1., 3.],
+            [3., 3.],
+            [3., 1.],
+            [1., 1.],
         ]);
         let (sum, least) = areas(&ring);
         assert!((sum - 12.0).abs() < 1e-12 && least >= 0.0, "{sum} {least}");

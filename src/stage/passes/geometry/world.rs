@@ -28,7 +28,13 @@ pub(super) fn bounds(
             continue;
         }
         for corner in 0..8 {
-            let pick = |axis: usize| if corner >> axis & 1 == 0 { min[axis] } else { max[axis] };
+            let pick = |axis: usize| {
+                if corner >> axis & 1 == 0 {
+                    min[axis]
+                } else {
+                    max[axis]
+                }
+            };
             let local = DVec3::new(pick(0), pick(1), pick(2));
             let point = placement.world_from_object.transform_point3(local);
             all = (all.0.min(point), all.1.max(point));
@@ -44,7 +50,15 @@ fn object_box(raw: &RawStage, prim: usize) -> (DVec3, DVec3) {
         return (bounds.min.as_dvec3(), bounds.max.as_dvec3());
     }
     // A box around every gprim whatever its axis: only the order of magnitude matters.
-    let sizes = ["size", "radius", "radiusTop", "radiusBottom", "height", "width", "length"];
+    let sizes = [
+        "size",
+        "radius",
+        "radiusTop",
+        "radiusBottom",
+        "height",
+        "width",
+        "length",
+    ];
     let authored = sizes.map(|name| number(prim, name, 0.0));
     let half = authored.into_iter().fold(0.0, f64::max);
     let half = DVec3::splat(if half > 0.0 { half } else { 1.0 });
@@ -54,8 +68,10 @@ fn object_box(raw: &RawStage, prim: usize) -> (DVec3, DVec3) {
 /// Longest image of a unit vector, at most √3 too long.
 pub(super) fn greatest_scale(matrix: DMat4) -> f64 {
     let linear = DMat3::from_mat4(matrix);
-    (linear.x_axis.length_squared() + linear.y_axis.length_squared() + linear.z_axis.length_squared())
-        .sqrt()
+    (linear.x_axis.length_squared()
+        + linear.y_axis.length_squared()
+        + linear.z_axis.length_squared())
+    .sqrt()
         / 3.0_f64.sqrt()
 }
 
@@ -76,7 +92,11 @@ pub(super) fn bake(mesh: &mut Mesh, matrix: DMat4) {
     }
     let linear = DMat3::from_mat4(matrix);
     // The cofactors are the inverse transpose times the determinant, whose sign keeps normals on their side.
-    let sign = if linear.determinant() < 0.0 { -1.0 } else { 1.0 };
+    let sign = if linear.determinant() < 0.0 {
+        -1.0
+    } else {
+        1.0
+    };
     let cofactors = DMat3::from_cols(
         linear.y_axis.cross(linear.z_axis),
         linear.z_axis.cross(linear.x_axis),
@@ -84,7 +104,9 @@ pub(super) fn bake(mesh: &mut Mesh, matrix: DMat4) {
     );
     let turn = |normals: &mut [Vec3]| {
         for normal in normals {
-            *normal = (sign * (cofactors * normal.as_dvec3())).normalize_or_zero().as_vec3();
+            *normal = (sign * (cofactors * normal.as_dvec3()))
+                .normalize_or_zero()
+                .as_vec3();
         }
     };
     match &mut mesh.normals {
