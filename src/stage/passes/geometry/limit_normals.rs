@@ -253,10 +253,10 @@ impl LevelData<'_> {
         let mut across = 4.0 * ratio * (cosine - 1.0) * self.position(vertex)
             - ratio * (1.0 + 2.0 * cosine) * (*first + *last)
             + sine * self.diagonal(sector.faces[0], vertex);
-        for i in 1..sector.faces.len() {
+        let inner = sector.faces.iter().zip(&spokes).enumerate().skip(1);
+        for (i, (&face, spoke)) in inner {
             let (here, next) = ((step * as_f64(i)).sin(), (step * as_f64(i + 1)).sin());
-            across += 4.0 * here * spokes[i];
-            across += (here + next) * self.diagonal(sector.faces[i], vertex);
+            across += 4.0 * here * *spoke + (here + next) * self.diagonal(face, vertex);
         }
         (across, *last - *first)
     }

@@ -10,6 +10,7 @@
 mod attributes;
 mod authored;
 mod gprims;
+mod instancer;
 mod limit_normals;
 mod normals;
 mod placement;
@@ -347,7 +348,7 @@ impl Inherited {
     }
 }
 
-/// Bindings of occurrences, with those of their GeomSubsets.
+/// Bindings of occurrences, with those of their subsets.
 struct Materials<'a> {
     raw: &'a RawStage,
     occurrences: &'a [Occurrence],
@@ -627,7 +628,8 @@ mod tests {
         let instancer = with_ints(instancer, "protoIndices", &[0, 1, 0]);
         let positions = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]].map(Vec3::from_array);
         let scales = [[1.0; 3], [2.0, 3.0, 4.0], [-1.0, 2.0, 1.0]].map(Vec3::from_array);
-        let half = half::f16::from_f32(0.7071).to_f32();
+        // 0.7071 as a half float.
+        let half = 0.707_031_25;
         let orientations = [
             [0.0, half, 0.0, half],
             [0.0, 0.0, 0.0, 1.0],

@@ -8,11 +8,11 @@ use super::super::super::ReadSettings;
 use super::super::super::raw::{RawPrim, RawStage};
 use super::super::flatten::{Occurrence, authored_purpose, is_invisible};
 use super::super::xform;
-use super::attributes::{ints, long_ints, quaternions, vectors};
 use super::gprims;
+use super::instancer::{self, Point};
 use crate::diagnostics::Diagnostics;
 use crate::scene::{PrimSource, Purpose};
-use glam::{DMat3, DMat4, DQuat};
+use glam::DMat4;
 use std::collections::{HashMap, HashSet};
 
 /// One thing to draw.
@@ -128,13 +128,6 @@ struct Part {
     suffix: String,
     /// Authored below the instancer.
     purpose: Option<Purpose>,
-}
-
-/// An instancer's point: index, prototype, transform without the prototype's.
-struct Point {
-    index: usize,
-    prototype: usize,
-    matrix: DMat4,
 }
 
 struct Walk<'a> {
@@ -345,71 +338,26 @@ impl<'a> Walk<'a> {
 
     /// The instancer's visible points that have a prototype; none, with a warning, when its arrays disagree.
     fn points(&self, instancer: usize, prototype_count: usize) -> Vec<Point> {
-        let prim = self.prim(instancer);
-        let prototypes = ints(prim, "protoIndices");
-        let positions = vectors(prim, "positions");
-        let scales = vectors(prim, "scales");
-        let orientations = match quaternions(prim, "orientationsf") {
-            [] => quaternions(prim, "orientations"),
-            precise => precise,
-        };
-        for (name, count) in [
-            ("positions", positions.len()),
-            ("scales", scales.len()),
-            ("orientations", orientations.len()),
-        ] {
-            let is_optional = name != "positions";
-            if count != prototypes.len() && !(is_optional && count == 0) {
+        match instancer::points(self.prim(instancer), prototype_count) {
+            Ok((points, 0)) => points,
+            Ok((points, without)) => {
+                self.warn(
+                    "bad-instance",
+                    instancer,
+                    format!(
+                        "{without} points are left out: their protoIndices are not below {prototype_count} or their transforms are not finite"
+                    ),
+                );
+                points
+            }
+            Err(message) => {
                 self.warn(
                     "bad-instancer",
                     instancer,
-                    format!(
-                        "it is left out: it has {count} {name} for {} protoIndices",
-                        prototypes.len()
-                    ),
+                    format!("it is left out: {message}"),
                 );
-                return Vec::new();
+                Vec::new()
             }
         }
-        let invisible: HashSet<i64> = long_ints(prim, "invisibleIds").into_iter().collect();
-        let ids = long_ints(prim, "ids");
-        let id_of = |index: usize| match ids.len() == prototypes.len() {
-            true => ids[index],
-            false => i64::try_from(index).unwrap_or(i64::MAX),
-        };
-        let mut without = 0;
-        let mut points = Vec::with_capacity(prototypes.len());
-        for (index, &prototype) in prototypes.iter().enumerate() {
-            if invisible.contains(&id_of(index)) {
-                continue;
-            }
-            let prototype = usize::try_from(prototype).unwrap_or(usize::MAX);
-            let mut linear = DMat3::IDENTITY;
-            if let Some(orientation) = orientations.get(index) {
-                linear *= DMat3::from_quat(DQuat::from_vec4(orientation.as_dvec4()));
-            }
-            if let Some(scale) = scales.get(index) {
-                linear *= DMat3::from_diagonal(scale.as_dvec3());
-            }
-            let translation = DMat4::from_translation(positions[index].as_dvec3());
-            let matrix = translation * DMat4::from_mat3(linear);
-            if prototype < prototype_count && matrix.is_finite() {
-                points.push(Point {
-                    index,
-                    prototype,
-                    matrix,
-                });
-            } else {
-                without += 1;
-            }
-        }
-        if without > 0 {
-            self.warn(
-                "bad-instance",
-                instancer,
-                format!("{without} points are left out: their protoIndices are not below {prototype_count} or their transforms are not finite"),
-            );
-        }
-        points
     }
 }
