@@ -3,21 +3,73 @@
 pub mod flatten;
 pub mod geometry;
 pub mod look;
+pub mod xform;
 
-use super::raw::RawStage;
+use super::raw::{RawMeta, RawStage};
 use super::{Error, ReadSettings};
 use crate::diagnostics::Diagnostics;
-use crate::scene::Scene;
+use crate::scene::{Scene, StageInfo, UpAxis};
+
+/// USD's `metersPerUnit` where none is authored.
+const DEFAULT_METERS_PER_UNIT: f64 = 0.01;
+/// USD's `timeCodesPerSecond` where none is authored.
+const DEFAULT_TIME_CODES_PER_SECOND: f64 = 24.0;
 
 /// Resolve `raw` into a scene.
 ///
 /// # Errors
-/// Meshes with invalid topology.
+/// Meshes with invalid topology or points that are not finite; cancellation.
 pub fn scene(
     raw: &RawStage,
     settings: &ReadSettings,
     diagnostics: &Diagnostics,
 ) -> Result<Scene, Error> {
-    let _ = (raw, settings, diagnostics);
-    todo!("geometry helper: flatten, look::resolve, geometry")
+    let occurrences = flatten::flatten(raw, settings, diagnostics);
+    let layout = geometry::lay_out(raw, &occurrences, settings, diagnostics)?;
+    let look = look::resolve(raw, &occurrences, layout.origin(), settings, diagnostics);
+    let origin = layout.origin();
+    let (meshes, prims) = layout.build(&look, diagnostics)?;
+    Ok(Scene {
+        stage: stage_info(&raw.meta, settings.time),
+        origin,
+        meshes,
+        prims,
+        materials: look.materials,
+        lights: look.lights,
+        cameras: look.cameras,
+        render_settings: look.render_settings,
+    })
+}
+
+fn stage_info(meta: &RawMeta, time: Option<f64>) -> StageInfo {
+    StageInfo {
+        path: meta.path.clone(),
+        up_axis: match meta.up_axis.as_deref() {
+            Some("Z") => UpAxis::Z,
+            _ => UpAxis::Y,
+        },
+        meters_per_unit: meta.meters_per_unit.unwrap_or(DEFAULT_METERS_PER_UNIT),
+        default_prim: meta.default_prim.clone(),
+        time_range: meta.start_time_code.zip(meta.end_time_code),
+        time_codes_per_second: meta
+            .time_codes_per_second
+            .unwrap_or(DEFAULT_TIME_CODES_PER_SECOND),
+        time,
+        layers: meta.layers.clone(),
+        reader: meta.reader.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unauthored_metadata_has_usd_fallbacks() {
+        let info = stage_info(&RawMeta::default(), None);
+        assert_eq!(info.up_axis, UpAxis::Y);
+        assert_eq!(info.meters_per_unit, 0.01);
+        assert_eq!(info.time_codes_per_second, 24.0);
+        assert_eq!(info.time_range, None);
+    }
 }

@@ -1,0 +1,471 @@
+//! Implicit gprims → triangles with vertices on the true surface.
+//!
+//! Round shapes are cut so that no point of a facet is further than a thousandth of the radius from the surface;
+//! `triangle_faces` number the parts: side 0, bottom 1, top 2; a cube's sides 0–5.
+
+use super::super::super::raw::RawPrim;
+use super::attributes::{boolean, number, token};
+use super::primvars::AuthoredPrimvar;
+use super::topology::Topology;
+use crate::diagnostics::Diagnostics;
+use crate::scene::{Interpolation, Mesh, Normals, Primvar};
+use glam::{DMat3, DVec2, DVec3, Vec3};
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// Facets around. With half as many from pole to pole a facet's middle lies 2(1 − cos(π/100)) = 0.99e-3 radii deep.
+const AROUND: usize = 100;
+/// Facets along a quarter circle.
+const QUARTER: usize = AROUND / 4;
+
+/// Type names that [`tessellate`] knows.
+pub(super) const TYPES: [&str; 8] = [
+    "Cube",
+    "Sphere",
+    "Cylinder",
+    "Cylinder_1",
+    "Cone",
+    "Capsule",
+    "Capsule_1",
+    "Plane",
+];
+
+/// The gprim in object space with those of the primvars called `names` that it or (constant) `inherited` prims author
+/// as one value. `None`, with a warning, when a size is not a positive number.
+pub(super) fn tessellate(
+    prim: &RawPrim,
+    inherited: &[(String, &RawPrim)],
+    names: &[String],
+    diagnostics: &Diagnostics,
+) -> Option<Mesh> {
+    let mut shape = Shape::default();
+    let closed = match build(prim, &mut shape) {
+        Some(closed) if !shape.triangles.is_empty() => closed,
+        _ => {
+            diagnostics.warn(
+                "degenerate-gprim",
+                prim.path.clone(),
+                "a size is not a positive number; it is left out",
+            );
+            return None;
+        }
+    };
+    let is_plane = prim.type_name == "Plane";
+    Some(Mesh {
+        positions: shape.positions,
+        triangles: shape.triangles,
+        triangle_faces: shape.parts,
+        normals: Normals::Vertex(shape.normals),
+        primvars: constants(prim, inherited, names, diagnostics),
+        double_sided: boolean(prim, "doubleSided", is_plane),
+        closed,
+        cage: None,
+        scheme: prim.type_name.clone(),
+    })
+}
+
+/// Fill `shape`; the result says whether it is closed. `None` for sizes that are not positive and finite.
+fn build(prim: &RawPrim, shape: &mut Shape) -> Option<bool> {
+    let size = |name: &str, fallback: f64| {
+        let size = number(prim, name, fallback);
+        (size >= 0.0 && size.is_finite()).then_some(size)
+    };
+    let profile = match prim.type_name.as_str() {
+        "Cube" => {
+            shape.cube(0.5 * size("size", 2.0)?);
+            return Some(true);
+        }
+        "Plane" => {
+            shape.plane(prim, size("width", 2.0)?, size("length", 2.0)?);
+            return Some(false);
+        }
+        "Sphere" => capsule(size("radius", 1.0)?, size("radius", 1.0)?, 0.0),
+        "Capsule" => capsule(
+            size("radius", 0.5)?,
+            size("radius", 0.5)?,
+            size("height", 1.0)?,
+        ),
+        "Capsule_1" => capsule(
+            size("radiusBottom", 0.5)?,
+            size("radiusTop", 0.5)?,
+            size("height", 1.0)?,
+        ),
+        "Cylinder" => frustum(
+            size("radius", 1.0)?,
+            size("radius", 1.0)?,
+            size("height", 2.0)?,
+        ),
+        "Cylinder_1" => frustum(
+            size("radiusBottom", 1.0)?,
+            size("radiusTop", 1.0)?,
+            size("height", 2.0)?,
+        ),
+        "Cone" => frustum(size("radius", 1.0)?, 0.0, size("height", 2.0)?),
+        _ => return None,
+    };
+    let axes = match prim.type_name.as_str() {
+        "Sphere" => DMat3::IDENTITY,
+        _ => axes(token(prim, "axis", "Z")),
+    };
+    for part in profile {
+        shape.revolve(&part, axes);
+    }
+    Some(true)
+}
+
+/// Columns: the two directions across and the spine, right-handed.
+fn axes(spine: &str) -> DMat3 {
+    match spine {
+        "X" => DMat3::from_cols(DVec3::Y, DVec3::Z, DVec3::X),
+        "Y" => DMat3::from_cols(DVec3::Z, DVec3::X, DVec3::Y),
+        _ => DMat3::IDENTITY,
+    }
+}
+
+/// A smooth stretch of an outline, from bottom to top: (radius, height) and the normal in the same plane.
+struct Stretch {
+    part: u32,
+    points: Vec<(DVec2, DVec2)>,
+}
+
+/// Two half spheres around a spine of length `height`, smooth all along. With different radii the half spheres
+/// stay half spheres, as in the schema, and the side between them is a cone.
+fn capsule(bottom: f64, top: f64, height: f64) -> Vec<Stretch> {
+    let arc = |radius: f64, center: f64, quarters: std::ops::RangeInclusive<usize>| {
+        quarters.map(move |i| {
+            let angle = FRAC_PI_2 * (as_f64(i) / as_f64(QUARTER) - 1.0);
+            let direction = DVec2::new(angle.cos().max(0.0), angle.sin());
+            // Exactly on the axis: the poles are single points.
+            let direction = match i {
+                0 => DVec2::NEG_Y,
+                i if i == 2 * QUARTER => DVec2::Y,
+                _ => direction,
+            };
+            (radius * direction + DVec2::new(0.0, center), direction)
+        })
+    };
+    let lower = arc(bottom, -0.5 * height, 0..=QUARTER);
+    let upper_start = if height > 0.0 { QUARTER } else { QUARTER + 1 };
+    let upper = arc(top, 0.5 * height, upper_start..=2 * QUARTER);
+    if bottom == top {
+        let points = lower.chain(upper).collect();
+        return vec![Stretch { part: 0, points }];
+    }
+    let mut side = frustum(bottom, top, height);
+    side.truncate(1);
+    side.push(Stretch {
+        part: 1,
+        points: lower.collect(),
+    });
+    side.push(Stretch {
+        part: 2,
+        points: arc(top, 0.5 * height, QUARTER..=2 * QUARTER).collect(),
+    });
+    side
+}
+
+/// A side and two flat ends; an end without radius is left out.
+fn frustum(bottom: f64, top: f64, height: f64) -> Vec<Stretch> {
+    let low = DVec2::new(bottom, -0.5 * height);
+    let high = DVec2::new(top, 0.5 * height);
+    let outward = DVec2::new(height, bottom - top).normalize_or_zero();
+    let mut stretches = vec![Stretch {
+        part: 0,
+        points: vec![(low, outward), (high, outward)],
+    }];
+    if bottom > 0.0 {
+        let center = DVec2::new(0.0, low.y);
+        stretches.push(Stretch {
+            part: 1,
+            points: vec![(center, DVec2::NEG_Y), (low, DVec2::NEG_Y)],
+        });
+    }
+    if top > 0.0 {
+        let center = DVec2::new(0.0, high.y);
+        stretches.push(Stretch {
+            part: 2,
+            points: vec![(high, DVec2::Y), (center, DVec2::Y)],
+        });
+    }
+    stretches
+}
+
+#[derive(Default)]
+struct Shape {
+    positions: Vec<Vec3>,
+    normals: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    parts: Vec<u32>,
+}
+
+impl Shape {
+    fn vertex(&mut self, position: DVec3, normal: DVec3) -> u32 {
+        self.positions.push(position.as_vec3());
+        self.normals.push(normal.as_vec3());
+        u32::try_from(self.positions.len() - 1).expect("gprims have a few thousand vertices")
+    }
+
+    fn quad(&mut self, part: u32, [a, b, c, d]: [u32; 4]) {
+        self.triangles.extend([[a, b, c], [a, c, d]]);
+        self.parts.extend([part; 2]);
+    }
+
+    fn cube(&mut self, half: f64) {
+        if half == 0.0 {
+            return;
+        }
+        let directions = [
+            (DVec3::X, DVec3::Y),
+            (DVec3::Y, DVec3::Z),
+            (DVec3::Z, DVec3::X),
+        ];
+        for (axis, (normal, across)) in (0..).zip(directions) {
+            for (side, sign) in [(0, -1.0), (1, 1.0)] {
+                let normal = sign * normal;
+                let up = normal.cross(across);
+                let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+                let corners = corners.map(|(u, v)| {
+                    let position = half * (normal + u * across + v * up);
+                    self.vertex(position, normal)
+                });
+                self.quad(2 * axis + side, corners);
+            }
+        }
+    }
+
+    fn plane(&mut self, prim: &RawPrim, width: f64, length: f64) {
+        if width == 0.0 || length == 0.0 {
+            return;
+        }
+        let (normal, along_width, along_length) = match token(prim, "axis", "Z") {
+            "X" => (DVec3::X, DVec3::Z, DVec3::Y),
+            "Y" => (DVec3::Y, DVec3::X, DVec3::Z),
+            _ => (DVec3::Z, DVec3::X, DVec3::Y),
+        };
+        let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)];
+        let mut corners = corners.map(|(u, v)| {
+            let position = u * width * along_width + v * length * along_length;
+            self.vertex(position, normal)
+        });
+        if along_width.cross(along_length).dot(normal) < 0.0 {
+            corners.reverse();
+        }
+        self.quad(0, corners);
+    }
+
+    /// Turn a stretch around the spine. Rings of radius 0 are one vertex each facet, so that their normals can lean
+    /// its way (a cone's tip).
+    fn revolve(&mut self, stretch: &Stretch, axes: DMat3) {
+        let ring_count = stretch.points.len();
+        let mut rings: Vec<Vec<u32>> = Vec::with_capacity(ring_count);
+        for &(point, normal) in &stretch.points {
+            let is_pole = point.x == 0.0;
+            let offset = if is_pole { 0.5 } else { 0.0 };
+            let ring = (0..AROUND).map(|i| {
+                let (sine, cosine) = (TAU * (as_f64(i) + offset) / as_f64(AROUND)).sin_cos();
+                let turn = |p: DVec2| axes * DVec3::new(p.x * cosine, p.x * sine, p.y);
+                self.vertex(turn(point), turn(normal))
+            });
+            rings.push(ring.collect());
+        }
+        for (low, high) in rings.iter().zip(rings.iter().skip(1)) {
+            self.band(stretch.part, low, high);
+        }
+    }
+
+    fn band(&mut self, part: u32, low: &[u32], high: &[u32]) {
+        let at = |ring: &[u32], i: usize| ring[i % ring.len()];
+        let is_pole = |shape: &Self, ring: &[u32]| {
+            shape.positions[ring[0] as usize] == shape.positions[ring[ring.len() / 4] as usize]
+        };
+        let (low_pole, high_pole) = (is_pole(self, low), is_pole(self, high));
+        for i in 0..low.len() {
+            let [a, b] = [at(low, i), at(low, i + 1)];
+            let [c, d] = [at(high, i + 1), at(high, i)];
+            match (low_pole, high_pole) {
+                (false, false) => self.quad(part, [a, b, c, d]),
+                (true, false) => self.triangle(part, [a, c, d]),
+                (false, true) => self.triangle(part, [a, b, d]),
+                (true, true) => {}
+            }
+        }
+    }
+
+    fn triangle(&mut self, part: u32, corners: [u32; 3]) {
+        self.triangles.push(corners);
+        self.parts.push(part);
+    }
+}
+
+/// Primvars of one value; a gprim has no points or faces that others could belong to.
+fn constants(
+    prim: &RawPrim,
+    inherited: &[(String, &RawPrim)],
+    names: &[String],
+    diagnostics: &Diagnostics,
+) -> Vec<Primvar> {
+    let single = Topology {
+        point_count: 1,
+        counts: vec![1],
+        indices: vec![0],
+        offsets: vec![0, 1],
+        is_drawn: vec![true],
+    };
+    let read = |name: &String| {
+        let own = AuthoredPrimvar::read(prim, name, &single, diagnostics);
+        let authored = own.or_else(|| {
+            let (_, owner) = inherited.iter().find(|(inherited, _)| inherited == name)?;
+            AuthoredPrimvar::read(owner, name, &single, diagnostics)
+        })?;
+        Some(authored.finish(Interpolation::Constant, authored.expanded()))
+    };
+    names.iter().filter_map(read).collect()
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts of facets")]
+fn as_f64(count: usize) -> f64 {
+    count as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::super::raw::Value;
+    use super::super::tests::with_attribute;
+    use super::*;
+    use std::f64::consts::PI;
+
+    fn gprim(type_name: &str, sizes: &[(&str, f64)], axis: &str) -> Mesh {
+        let mut prim = RawPrim {
+            path: "/g".into(),
+            type_name: type_name.into(),
+            ..RawPrim::default()
+        };
+        for &(name, size) in sizes {
+            prim = with_attribute(prim, name, Value::Float(size), None);
+        }
+        prim = with_attribute(prim, "axis", Value::Token(axis.into()), None);
+        tessellate(&prim, &[], &[], &Diagnostics::default()).unwrap()
+    }
+
+    /// Area, enclosed volume, and the least cosine between a triangle's plane normal and its corners' normals.
+    fn measure(mesh: &Mesh) -> (f64, f64, f32) {
+        let Normals::Vertex(normals) = &mesh.normals else {
+            unreachable!("gprims have vertex normals")
+        };
+        let (mut area, mut volume, mut cosine) = (0.0, 0.0, 1.0_f32);
+        for t in 0..mesh.triangles.len() {
+            let [a, b, c] = mesh.corners(t).map(|p| p.as_dvec3());
+            area += 0.5 * (b - a).cross(c - a).length();
+            volume += a.dot(b.cross(c)) / 6.0;
+            for i in mesh.triangles[t] {
+                cosine = cosine.min(normals[i as usize].dot(mesh.plane_normal(t)));
+            }
+        }
+        (area, volume, cosine)
+    }
+
+    #[track_caller]
+    fn assert_size(mesh: &Mesh, area: f64, volume: f64) {
+        let (got_area, got_volume, cosine) = measure(mesh);
+        assert!(
+            (got_area / area - 1.0).abs() < 2e-3,
+            "{got_area} for {area}"
+        );
+        assert!(
+            (got_volume / volume - 1.0).abs() < 3e-3,
+            "{got_volume} for {volume}"
+        );
+        assert!(cosine > 0.99, "normals lean by {cosine}");
+    }
+
+    #[test]
+    fn areas_and_volumes_are_those_of_the_solids() {
+        assert_size(&gprim("Cube", &[("size", 3.0)], "Z"), 54.0, 27.0);
+        let r = 2.0;
+        let sphere = gprim("Sphere", &[("radius", r)], "Z");
+        assert_size(&sphere, 4.0 * PI * r * r, 4.0 / 3.0 * PI * r.powi(3));
+        for axis in ["X", "Y", "Z"] {
+            let cylinder = gprim("Cylinder", &[("radius", r), ("height", 5.0)], axis);
+            assert_size(&cylinder, TAU * r * (r + 5.0), PI * r * r * 5.0);
+            let cone = gprim("Cone", &[("radius", 3.0), ("height", 4.0)], axis);
+            assert_size(&cone, PI * 3.0 * (3.0 + 5.0), PI * 9.0 * 4.0 / 3.0);
+            let capsule = gprim("Capsule", &[("radius", r), ("height", 3.0)], axis);
+            let ball = 4.0 / 3.0 * PI * r.powi(3);
+            assert_size(&capsule, TAU * r * (2.0 * r + 3.0), ball + PI * r * r * 3.0);
+        }
+    }
+
+    #[test]
+    fn different_radii_give_frustums() {
+        let radii = [("radiusBottom", 3.0), ("radiusTop", 1.0), ("height", 2.0)];
+        let slant = 8.0_f64.sqrt();
+        let side = PI * 4.0 * slant;
+        let frustum_volume = PI * 2.0 / 3.0 * (9.0 + 3.0 + 1.0);
+        let cylinder = gprim("Cylinder_1", &radii, "Y");
+        assert_size(&cylinder, side + PI * 10.0, frustum_volume);
+        let capsule = gprim("Capsule_1", &radii, "Y");
+        let halves = 2.0 / 3.0 * PI * 28.0;
+        assert_size(&capsule, side + TAU * 10.0, frustum_volume + halves);
+        let top = capsule
+            .positions
+            .iter()
+            .map(|p| p.y)
+            .fold(f32::MIN, f32::max);
+        assert_eq!(top, 2.0);
+    }
+
+    #[test]
+    fn no_point_of_a_sphere_is_deeper_than_a_thousandth_and_vertices_lie_on_it() {
+        let sphere = gprim("Sphere", &[], "Z");
+        let off = sphere.positions.iter().map(|p| (p.length() - 1.0).abs());
+        assert!(off.fold(0.0, f32::max) < 1e-6);
+        let deepest = (0..sphere.triangles.len()).map(|t| {
+            let [a, b, c] = sphere.corners(t);
+            [a + b, b + c, c + a].map(|p| 1.0 - 0.5 * p.length())
+        });
+        let deepest = deepest.flatten().fold(0.0, f32::max);
+        assert!(deepest < 1.001e-3, "{deepest}");
+    }
+
+    #[test]
+    fn planes_face_their_axis_and_lie_as_the_schema_says() {
+        let sizes = [("width", 4.0), ("length", 2.0)];
+        for (axis, normal, half) in [
+            ("X", Vec3::X, Vec3::new(0.0, 1.0, 2.0)),
+            ("Y", Vec3::Y, Vec3::new(2.0, 0.0, 1.0)),
+            ("Z", Vec3::Z, Vec3::new(2.0, 1.0, 0.0)),
+        ] {
+            let plane = gprim("Plane", &sizes, axis);
+            assert_eq!(plane.plane_normal(0), normal);
+            assert_eq!(plane.bounds().max, half);
+            assert!(plane.double_sided && !plane.closed);
+        }
+    }
+
+    #[test]
+    fn sizes_that_are_not_positive_leave_it_out_with_a_warning() {
+        for radius in [-1.0, f64::NAN] {
+            let prim = RawPrim {
+                type_name: "Sphere".into(),
+                ..RawPrim::default()
+            };
+            let prim = with_attribute(prim, "radius", Value::Float(radius), None);
+            let diagnostics = Diagnostics::default();
+            assert!(tessellate(&prim, &[], &[], &diagnostics).is_none());
+            assert_eq!(diagnostics.warnings().len(), 1);
+        }
+    }
+
+    #[test]
+    fn constant_display_color_is_kept() {
+        let prim = RawPrim {
+            type_name: "Sphere".into(),
+            ..RawPrim::default()
+        };
+        let color = Value::Vec3Array(vec![Vec3::ONE]);
+        let prim = with_attribute(prim, "primvars:displayColor", color, None);
+        let names = ["displayColor".to_owned()];
+        let mesh = tessellate(&prim, &[], &names, &Diagnostics::default()).unwrap();
+        assert_eq!(mesh.primvars[0].values[0].truncate(), Vec3::ONE);
+        assert_eq!(mesh.primvars[0].interpolation, Interpolation::Constant);
+    }
+}

@@ -1,0 +1,363 @@
+//! What is drawn where: every visible gprim occurrence and every point of every PointInstancer, in traversal order.
+//!
+//! Transforms of points are those of `UsdGeomPointInstancer::ComputeInstanceTransformsAtTime` with the prototype's own
+//! transform included: instancer × translation × orientation × scale × prototype root. What the prototype root's
+//! ancestors say of transform, visibility or purpose does not reach the points; the instancer's does.
+
+use super::super::super::ReadSettings;
+use super::super::super::raw::{RawPrim, RawStage};
+use super::super::flatten::{Occurrence, authored_purpose, is_invisible};
+use super::super::xform;
+use super::gprims;
+use super::instancer::{self, Point};
+use crate::diagnostics::Diagnostics;
+use crate::scene::{PrimSource, Purpose};
+use glam::DMat4;
+use std::collections::{HashMap, HashSet};
+
+/// One thing to draw.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Placement {
+    /// Occurrence whose raw prim is the geometry and whose binding applies.
+    pub(super) occurrence: usize,
+    /// Absolute.
+    pub(super) world_from_object: DMat4,
+    pub(super) path: String,
+    pub(super) purpose: Purpose,
+    pub(super) source: PrimSource,
+}
+
+/// How a prim takes part in drawing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Mesh,
+    Gprim,
+    Instancer,
+    /// Would be drawn by others.
+    Unsupported,
+    Nothing,
+}
+
+const UNSUPPORTED: [&str; 11] = [
+    "BasisCurves",
+    "HermiteCurves",
+    "NurbsCurves",
+    "NurbsPatch",
+    "Points",
+    "TetMesh",
+    "Volume",
+    "GenerativeProcedural",
+    "ParticleField",
+    "ParticleField3DGaussianSplat",
+    "GaussianSplats",
+];
+
+impl Kind {
+    pub(super) fn of(prim: &RawPrim) -> Self {
+        match prim.type_name.as_str() {
+            "Mesh" => Self::Mesh,
+            "PointInstancer" => Self::Instancer,
+            name if gprims::TYPES.contains(&name) => Self::Gprim,
+            name if UNSUPPORTED.contains(&name) => Self::Unsupported,
+            _ => Self::Nothing,
+        }
+    }
+}
+
+/// All placements of the stage that are visible and whose purpose is wanted. What cannot be drawn gives a warning.
+pub(super) fn placements(
+    raw: &RawStage,
+    occurrences: &[Occurrence],
+    settings: &ReadSettings,
+    diagnostics: &Diagnostics,
+) -> Vec<Placement> {
+    let mut walk = Walk {
+        raw,
+        occurrences,
+        settings,
+        diagnostics,
+        subtree_ends: subtree_ends(occurrences),
+        by_path: None,
+        open_instancers: HashSet::new(),
+    };
+    let mut placed = Vec::new();
+    let mut next = 0;
+    while let Some(occurrence) = occurrences.get(next) {
+        let kind = Kind::of(&raw.prims[occurrence.prim]);
+        let is_drawn = occurrence.visible && walk.is_wanted(occurrence.purpose);
+        match kind {
+            Kind::Instancer if is_drawn => walk.place_points(next, &mut placed),
+            Kind::Mesh | Kind::Gprim if is_drawn => {
+                walk.warn_of_what_is_not_applied(next);
+                placed.push(Placement {
+                    occurrence: next,
+                    world_from_object: occurrence.world_from_local,
+                    path: occurrence.path.clone(),
+                    purpose: occurrence.purpose,
+                    source: occurrence.source.clone(),
+                });
+            }
+            Kind::Unsupported if is_drawn => walk.warn_unsupported(next),
+            _ => {}
+        }
+        next = match kind {
+            Kind::Instancer => walk.subtree_ends[next],
+            _ => next + 1,
+        };
+    }
+    placed
+}
+
+/// Index behind the last descendant of every occurrence.
+fn subtree_ends(occurrences: &[Occurrence]) -> Vec<usize> {
+    let mut ends: Vec<usize> = (1..=occurrences.len()).collect();
+    for (index, occurrence) in occurrences.iter().enumerate().rev() {
+        if let Some(parent) = occurrence.parent {
+            ends[parent] = ends[parent].max(ends[index]);
+        }
+    }
+    ends
+}
+
+/// A drawable below a prototype, relative to the space that the instancer places prototypes in.
+#[derive(Debug, Clone)]
+struct Part {
+    occurrence: usize,
+    instancer_from_object: DMat4,
+    /// Path below the point, from the prototype root's name on.
+    suffix: String,
+    /// Authored below the instancer.
+    purpose: Option<Purpose>,
+}
+
+struct Walk<'a> {
+    raw: &'a RawStage,
+    occurrences: &'a [Occurrence],
+    settings: &'a ReadSettings,
+    diagnostics: &'a Diagnostics,
+    subtree_ends: Vec<usize>,
+    /// Occurrences by path, made when the first instancer asks.
+    by_path: Option<HashMap<&'a str, usize>>,
+    /// Instancers being expanded: one inside itself would never end.
+    open_instancers: HashSet<usize>,
+}
+
+impl<'a> Walk<'a> {
+    fn prim(&self, occurrence: usize) -> &'a RawPrim {
+        &self.raw.prims[self.occurrences[occurrence].prim]
+    }
+
+    fn is_wanted(&self, purpose: Purpose) -> bool {
+        purpose == Purpose::Default || self.settings.purposes.contains(&purpose)
+    }
+
+    fn warn(&self, kind: &str, occurrence: usize, message: impl Into<String>) {
+        let path = self.occurrences[occurrence].path.clone();
+        self.diagnostics.warn(kind, path, message);
+    }
+
+    fn warn_unsupported(&self, occurrence: usize) {
+        let type_name = &self.prim(occurrence).type_name;
+        self.warn(
+            "unsupported-prim",
+            occurrence,
+            format!("{type_name} is not supported and is left out: it casts no shadow and receives nothing"),
+        );
+    }
+
+    fn warn_of_what_is_not_applied(&self, occurrence: usize) {
+        let prim = self.prim(occurrence);
+        if prim.api_schemas.iter().any(|api| api == "SkelBindingAPI") {
+            self.warn(
+                "unsupported-skinning",
+                occurrence,
+                "skinning is not applied, the mesh is drawn in its authored pose",
+            );
+        }
+    }
+
+    fn place_points(&mut self, instancer: usize, placed: &mut Vec<Placement>) {
+        let parts_of = self.prototype_parts(instancer);
+        let occurrence = &self.occurrences[instancer];
+        for point in self.points(instancer, parts_of.len()) {
+            let world_from_point = occurrence.world_from_local * point.matrix;
+            for part in &parts_of[point.prototype] {
+                let purpose = part.purpose.unwrap_or(occurrence.purpose);
+                if !self.is_wanted(purpose) {
+                    continue;
+                }
+                placed.push(Placement {
+                    occurrence: part.occurrence,
+                    world_from_object: world_from_point * part.instancer_from_object,
+                    path: format!("{}[{}]/{}", occurrence.path, point.index, part.suffix),
+                    purpose,
+                    source: PrimSource::PointInstance {
+                        instancer: occurrence.path.clone(),
+                        index: u32::try_from(point.index).unwrap_or(u32::MAX),
+                        shared_path: self.shared_path(part.occurrence),
+                    },
+                });
+            }
+        }
+    }
+
+    fn shared_path(&self, occurrence: usize) -> String {
+        let occurrence = &self.occurrences[occurrence];
+        match &occurrence.source {
+            PrimSource::NativeInstance { shared_path, .. } => shared_path.clone(),
+            _ => occurrence.path.clone(),
+        }
+    }
+
+    /// Drawables of every prototype of `instancer`; prototypes that do not exist have none.
+    fn prototype_parts(&mut self, instancer: usize) -> Vec<Vec<Part>> {
+        let targets = match self.prim(instancer).relationships.get("prototypes") {
+            Some(relationship) => relationship.targets.as_slice(),
+            None => &[],
+        };
+        if !self.open_instancers.insert(instancer) {
+            self.warn(
+                "cyclic-instance",
+                instancer,
+                "the instancer is among its own prototypes; it is left out there",
+            );
+            return vec![Vec::new(); targets.len()];
+        }
+        let mut parts = Vec::with_capacity(targets.len());
+        for target in targets {
+            parts.push(match self.find_target(instancer, target) {
+                Some(root) => self.parts_below(root),
+                None => {
+                    self.warn(
+                        "missing-prototype",
+                        instancer,
+                        format!("prototype {target} does not exist; its instances are left out"),
+                    );
+                    Vec::new()
+                }
+            });
+        }
+        self.open_instancers.remove(&instancer);
+        parts
+    }
+
+    /// The occurrence that `target` means, seen from `instancer`: targets inside a native prototype are mapped to the
+    /// instance that the instancer is in.
+    fn find_target(&mut self, instancer: usize, target: &str) -> Option<usize> {
+        let occurrences = self.occurrences;
+        let by_path = self.by_path.get_or_insert_with(|| {
+            let all = occurrences.iter().enumerate();
+            all.map(|(index, occurrence)| (occurrence.path.as_str(), index))
+                .collect()
+        });
+        let occurrence = &occurrences[instancer];
+        let raw_path = &self.raw.prims[occurrence.prim].path;
+        let mut root = occurrence.prim;
+        while let Some(parent) = self.raw.prims[root].parent {
+            root = parent;
+        }
+        let root_path = &self.raw.prims[root].path;
+        let is_prototype = root >= self.raw.prototype_start;
+        if let Some(below) = target
+            .strip_prefix(root_path.as_str())
+            .filter(|_| is_prototype)
+        {
+            let instance = occurrence.path.strip_suffix(&raw_path[root_path.len()..])?;
+            return by_path.get(format!("{instance}{below}").as_str()).copied();
+        }
+        by_path.get(target).copied()
+    }
+
+    /// Drawables of `root` and below, nested instancers unfolded.
+    fn parts_below(&mut self, root: usize) -> Vec<Part> {
+        let end = self.subtree_ends[root];
+        let parent_path = self.occurrences[root]
+            .path
+            .rfind('/')
+            .map_or(0, |slash| slash + 1);
+        // Transform, visibility and purpose relative to the root, one for every occurrence below it.
+        let mut inherited: Vec<(DMat4, bool, Option<Purpose>)> = Vec::with_capacity(end - root);
+        let mut parts = Vec::new();
+        let mut hidden_until = root;
+        for index in root..end {
+            let prim = self.prim(index);
+            let parent = self.occurrences[index].parent.filter(|_| index > root);
+            let (matrix, visible, purpose) = parent
+                .map_or((DMat4::IDENTITY, true, None), |parent| {
+                    inherited[parent - root]
+                });
+            let local = xform::local(prim);
+            let state = (
+                matrix * local.parent_from_local,
+                visible && !is_invisible(prim),
+                authored_purpose(prim, self.diagnostics).or(purpose),
+            );
+            inherited.push(state);
+            if !state.1 || index < hidden_until {
+                continue;
+            }
+            match Kind::of(prim) {
+                Kind::Mesh | Kind::Gprim => {
+                    self.warn_of_what_is_not_applied(index);
+                    parts.push(Part {
+                        occurrence: index,
+                        instancer_from_object: state.0,
+                        suffix: self.occurrences[index].path[parent_path..].to_owned(),
+                        purpose: state.2,
+                    });
+                }
+                Kind::Instancer => {
+                    hidden_until = self.subtree_ends[index];
+                    let suffix = self.occurrences[index].path[parent_path..].to_owned();
+                    self.nested_parts(index, &suffix, (state.0, state.2), &mut parts);
+                }
+                Kind::Unsupported => self.warn_unsupported(index),
+                Kind::Nothing => {}
+            }
+        }
+        parts
+    }
+
+    fn nested_parts(
+        &mut self,
+        instancer: usize,
+        suffix: &str,
+        (matrix, purpose): (DMat4, Option<Purpose>),
+        parts: &mut Vec<Part>,
+    ) {
+        let nested = self.prototype_parts(instancer);
+        for point in self.points(instancer, nested.len()) {
+            parts.extend(nested[point.prototype].iter().map(|part| Part {
+                occurrence: part.occurrence,
+                instancer_from_object: matrix * point.matrix * part.instancer_from_object,
+                suffix: format!("{suffix}[{}]/{}", point.index, part.suffix),
+                purpose: part.purpose.or(purpose),
+            }));
+        }
+    }
+
+    /// The instancer's visible points that have a prototype; none, with a warning, when its arrays disagree.
+    fn points(&self, instancer: usize, prototype_count: usize) -> Vec<Point> {
+        match instancer::points(self.prim(instancer), prototype_count) {
+            Ok((points, 0)) => points,
+            Ok((points, without)) => {
+                self.warn(
+                    "bad-instance",
+                    instancer,
+                    format!(
+                        "{without} points are left out: their protoIndices are not below {prototype_count} or their transforms are not finite"
+                    ),
+                );
+                points
+            }
+            Err(message) => {
+                self.warn(
+                    "bad-instancer",
+                    instancer,
+                    format!("it is left out: {message}"),
+                );
+                Vec::new()
+            }
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! How often every subdivision mesh is refined.
+//!
+//! Wanted: refined edges no longer than asked, at least one level, at most [`MAX_LEVEL`], and enough levels for the
+//! sharpest finite crease. Where the scene's sum goes beyond [`FACE_BUDGET`] the asked edge is doubled until it fits
+//! or every mesh is at its least level; creases are followed only as far as a mesh alone stays in the budget.
+
+use super::authored::{AuthoredMesh, Scheme};
+use super::subdivision::sharpness_levels;
+use crate::diagnostics::Diagnostics;
+use glam::DVec3;
+
+/// Most levels: 256 faces for each of the cage.
+const MAX_LEVEL: usize = 4;
+/// Refined faces over all meshes of a scene: about 0.5 GB while refining and 2 to 4 s (CRATES.md §2).
+const FACE_BUDGET: u64 = 2_000_000;
+/// Edge asked for by default, as a part of the scene's diagonal: about 2 pixels of a 1K image that it fills.
+const DEFAULT_EDGE: f64 = 1.0 / 500.0;
+
+/// What a geometry asks for.
+pub(super) enum Demand<'a> {
+    /// Not subdivided.
+    None,
+    /// Refined until edges are no longer than this, object space.
+    Refined(&'a AuthoredMesh<'a>, f64),
+}
+
+/// The edge length asked for when the user asks for none; world space. 0 for an empty scene.
+pub(super) fn default_edge((min, max): (DVec3, DVec3)) -> f64 {
+    DEFAULT_EDGE * (max - min).max(DVec3::ZERO).length()
+}
+
+/// Levels of all geometries, 0 for those that are not subdivided.
+pub(super) fn levels(demands: &[Demand], diagnostics: &Diagnostics) -> Vec<usize> {
+    let plans: Vec<Option<Plan>> = demands
+        .iter()
+        .map(|demand| match demand {
+            Demand::None => None,
+            Demand::Refined(mesh, edge) => Some(Plan::of(mesh, *edge, diagnostics)),
+        })
+        .collect();
+    let level = |plan: &Option<Plan>, coarser: usize| plan.as_ref().map_or(0, |p| p.level(coarser));
+    let total = |coarser: usize| -> u64 {
+        let all = plans.iter().flatten();
+        all.map(|plan| plan.faces(plan.level(coarser)))
+            .fold(0, u64::saturating_add)
+    };
+    let coarser = (0..MAX_LEVEL).find(|&coarser| total(coarser) <= FACE_BUDGET);
+    let coarser = coarser.unwrap_or(MAX_LEVEL);
+    plans.iter().map(|plan| level(plan, coarser)).collect()
+}
+
+struct Plan {
+    wanted: usize,
+    least: usize,
+    /// Faces after the first level.
+    first_faces: u64,
+}
+
+impl Plan {
+    fn of(mesh: &AuthoredMesh, edge: f64, diagnostics: &Diagnostics) -> Self {
+        let first_faces = match mesh.scheme {
+            Scheme::Loop => 4 * mesh.topology.counts.len() as u64,
+            _ => mesh.topology.indices.len() as u64,
+        };
+        let mut plan = Self {
+            wanted: levels_for(longest_edge(mesh) / edge),
+            least: 1,
+            first_faces,
+        };
+        let needed = sharpness_levels(mesh.prim);
+        plan.least = (1..=needed.clamp(1, MAX_LEVEL))
+            .rev()
+            .find(|&level| level == 1 || plan.faces(level) <= FACE_BUDGET)
+            .unwrap_or(1);
+        if plan.least < needed {
+            diagnostics.warn(
+                "sharp-crease",
+                mesh.prim.path.clone(),
+                format!("creases are followed for {} levels of the {needed} that their sharpness asks for; what is left of them stays sharp", plan.least),
+            );
+        }
+        plan
+    }
+
+    fn level(&self, coarser: usize) -> usize {
+        self.wanted
+            .saturating_sub(coarser)
+            .clamp(self.least, MAX_LEVEL)
+    }
+
+    fn faces(&self, level: usize) -> u64 {
+        self.first_faces << (2 * (level - 1))
+    }
+}
+
+/// Halvings until `ratio` is at most 1.
+fn levels_for(ratio: f64) -> usize {
+    let halved = |level: &usize| ratio / f64::from(1_u32 << level) <= 1.0;
+    (1..MAX_LEVEL).find(halved).unwrap_or(MAX_LEVEL)
+}
+
+fn longest_edge(mesh: &AuthoredMesh) -> f64 {
+    let topology = &mesh.topology;
+    let longest = topology.drawn().flat_map(|face| {
+        let points = topology.points_of(face);
+        let following = points.iter().cycle().skip(1);
+        points.iter().zip(following).map(|(&a, &b)| {
+            let [a, b] = [a, b].map(|i| mesh.points[i as usize].as_dvec3());
+            a.distance_squared(b)
+        })
+    });
+    longest.fold(0.0, f64::max).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::super::raw::{RawPrim, Value};
+    use super::super::tests::{mesh, with_attribute, with_ints, with_token};
+    use super::*;
+    use glam::Vec3;
+
+    /// A row of unit quads.
+    fn strip(count: i32) -> RawPrim {
+        let indices: Vec<i32> = (0..count)
+            .flat_map(|i| [2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1])
+            .collect();
+        #[expect(clippy::cast_precision_loss, reason = "below 2^24")]
+        let points: Vec<Vec3> = (0..=count)
+            .flat_map(|i| [Vec3::X * i as f32, Vec3::X * i as f32 + Vec3::Y])
+            .collect();
+        let counts = vec![4; usize::try_from(count).unwrap()];
+        let prim = mesh("/m", &points, &counts, &indices);
+        with_token(prim, "subdivisionScheme", "catmullClark")
+    }
+
+    fn level(prim: &RawPrim, edges: &[f64]) -> (Vec<usize>, usize) {
+        let diagnostics = Diagnostics::default();
+        let authored = AuthoredMesh::read(prim, &[], &[], &diagnostics);
+        let authored = authored.unwrap().unwrap();
+        let demands: Vec<Demand> = edges
+            .iter()
+            .map(|&edge| Demand::Refined(&authored, edge))
+            .collect();
+        (levels(&demands, &diagnostics), diagnostics.warnings().len())
+    }
+
+    #[test]
+    fn edges_are_halved_until_they_are_short_enough_within_bounds() {
+        let strip = strip(3);
+        for (edge, expected) in [(2.0, 1), (0.5, 1), (0.26, 2), (0.25, 2), (0.1, 4), (0.0, 4)] {
+            assert_eq!(level(&strip, &[edge]), (vec![expected], 0), "edge {edge}");
+        }
+    }
+
+    #[test]
+    fn a_scene_beyond_the_budget_is_refined_less_everywhere() {
+        // 40 000 faces at level 4 are 10 M, at level 3 2.56 M, at level 2 640 k; four meshes of them 2.56 M.
+        let strip = strip(40_000);
+        assert_eq!(level(&strip, &[0.01]).0, [2]);
+        assert_eq!(level(&strip, &[0.01; 4]).0, [1; 4]);
+        assert_eq!(level(&strip, &[0.01, 1.0]).0, [2, 1]);
+    }
+
+    #[test]
+    fn creases_raise_the_level_as_far_as_the_budget_allows() {
+        let creased = |count: i32, sharpness: f32| {
+            let prim = with_ints(strip(count), "creaseIndices", &[0, 2]);
+            let prim = with_ints(prim, "creaseLengths", &[2]);
+            let sharpness = Value::FloatArray(vec![sharpness]);
+            with_attribute(prim, "creaseSharpnesses", sharpness, None)
+        };
+        assert_eq!(level(&creased(3, 2.5), &[2.0]), (vec![3], 0));
+        assert_eq!(level(&creased(3, 7.0), &[2.0]), (vec![4], 1));
+        assert_eq!(level(&creased(40_000, 3.0), &[2.0]), (vec![2], 1));
+    }
+
+    #[test]
+    fn nothing_to_refine_gives_level_zero() {
+        let diagnostics = Diagnostics::default();
+        assert_eq!(levels(&[Demand::None], &diagnostics), [0]);
+        assert_eq!(default_edge((DVec3::INFINITY, DVec3::NEG_INFINITY)), 0.0);
+    }
+}

@@ -1,0 +1,1004 @@
+//! Subdivision meshes → refined meshes with limit positions and limit normals, by `opensubdiv-rs` (a port of
+//! OpenSubdiv; checked against Blender's, see CRATES.md §2).
+//!
+//! Uniform refinement. Below their sharpness semi-sharp creases are still curved away, so the limit is taken at a
+//! level of at least the sharpness where the budget allows; at a coarser level what is left of them stays sharp.
+
+use super::super::super::raw::RawPrim;
+use super::attributes::{floats, ints, token};
+use super::authored::{AuthoredMesh, Parts, Scheme};
+use super::limit_normals::{LevelData, SectorNormals};
+use super::primvars::{AuthoredPrimvar, Layout};
+use super::triangulate::Triangulation;
+use crate::diagnostics::Diagnostics;
+use crate::scene::{Interpolation, Mesh, Normals, Primvar};
+use glam::{DVec3, Vec3, Vec4};
+use opensubdiv_rs::far::{
+    FVarChannelDescriptor, PrimvarRefiner, TopologyDescriptor, TopologyLevel, TopologyRefiner,
+    TopologyRefinerFactory, UniformOptions,
+};
+use opensubdiv_rs::sdc::{
+    FVarLinearInterpolation, Options, SchemeType, TriangleSubdivision, VtxBoundaryInterpolation,
+};
+use std::collections::HashSet;
+
+/// From here on a crease never smooths (OpenSubdiv's `SHARPNESS_INFINITE`).
+const INFINITE_SHARPNESS: f32 = 10.0;
+
+/// Refine `mesh` `level` (1 or more) times. Topology that cannot be subdivided (a face that uses a point twice, Loop
+/// with other faces than triangles) gives a warning and the mesh as polygons.
+pub(super) fn subdivide(mesh: &AuthoredMesh, level: usize, diagnostics: &Diagnostics) -> Mesh {
+    match Refined::new(mesh, level, diagnostics) {
+        Ok(refined) => refined.into_mesh(),
+        Err(reason) => {
+            diagnostics.warn(
+                "not-subdivided",
+                mesh.prim.path.clone(),
+                format!(
+                    "{} subdivision is not possible, drawn as polygons: {reason}",
+                    mesh.scheme.token()
+                ),
+            );
+            mesh.as_polygons(diagnostics)
+        }
+    }
+}
+
+/// Levels that the finite sharpnesses of `prim` need before limits may be taken.
+pub(super) fn sharpness_levels(prim: &RawPrim) -> usize {
+    let sharpnesses = floats(prim, "creaseSharpnesses").iter();
+    let all = sharpnesses.chain(floats(prim, "cornerSharpnesses"));
+    let finite = all.filter(|sharpness| **sharpness < INFINITE_SHARPNESS);
+    let highest = finite.fold(0.0_f32, |highest, &sharpness| highest.max(sharpness));
+    (0..10_u8)
+        .position(|level| f32::from(level) >= highest)
+        .unwrap_or(10)
+}
+
+struct Refined<'a> {
+    mesh: &'a AuthoredMesh<'a>,
+    refiner: TopologyRefiner,
+    /// Cage faces that are refined (all of three vertices or more).
+    faces: Vec<u32>,
+    /// Vertex of the last level → index into the mesh's positions: cage points first.
+    position_of_vertex: Vec<u32>,
+    position_count: usize,
+    face_size: usize,
+}
+
+impl<'a> Refined<'a> {
+    fn new(
+        mesh: &'a AuthoredMesh,
+        level: usize,
+        diagnostics: &Diagnostics,
+    ) -> Result<Self, String> {
+        let faces: Vec<u32> = (0..)
+            .zip(&mesh.topology.counts)
+            .filter_map(|(face, &count)| (count >= 3).then_some(face))
+            .collect();
+        let mut refiner = Control::of(mesh, &faces, diagnostics).refiner(mesh)?;
+        refiner.refine_uniform(UniformOptions::new(level));
+        let (position_of_vertex, position_count) = order_vertices(&refiner, &mesh.topology.indices);
+        Ok(Self {
+            mesh,
+            faces,
+            position_of_vertex,
+            position_count: position_count.max(mesh.topology.point_count),
+            face_size: if mesh.scheme == Scheme::Loop { 3 } else { 4 },
+            refiner,
+        })
+    }
+
+    fn last(&self) -> TopologyLevel<'_> {
+        self.refiner.level(self.refiner.max_level())
+    }
+
+    fn into_mesh(self) -> Mesh {
+        let points: Vec<[f64; 3]> = self
+            .mesh
+            .points
+            .iter()
+            .map(|p| p.as_dvec3().to_array())
+            .collect();
+        let control = self.interpolate(&points, [0.0; 3]);
+        let limit = self.limit(&control);
+        let sources = self.source_faces();
+        let is_drawn = self.drawn(&sources);
+        let mut positions = self.mesh.points.to_vec();
+        positions.resize(self.position_count, Vec3::ZERO);
+        for (vertex, position) in limit.iter().enumerate() {
+            positions[self.position_of_vertex[vertex] as usize] =
+                DVec3::from_array(*position).as_vec3();
+        }
+        let mut triangulation = self.triangulate(&sources, &is_drawn);
+        if self.mesh.left_handed {
+            triangulation.flip();
+        }
+        let shading = self.normals(&LevelData {
+            level: self.last(),
+            scheme: self.mesh.scheme,
+            control: &control,
+            limit: &limit,
+            face_size: self.face_size,
+            is_drawn: &is_drawn,
+        });
+        let (normals, point_normals, corner_normals) = match shading {
+            Some(shading) => self.lay_out_normals(shading, &triangulation),
+            None => {
+                let flat = super::normals::CageNormals::Flat;
+                let cage_points = &positions[..self.mesh.topology.point_count];
+                let (points, corners) =
+                    flat.for_cage(&self.mesh.topology, cage_points, self.mesh.left_handed);
+                (Normals::Flat, points, corners)
+            }
+        };
+        let channels = self.channels();
+        let primvars = self.mesh.primvars.iter().zip(channels);
+        let primvars = primvars.map(|(p, channel)| self.primvar(p, channel, &triangulation));
+        self.mesh.finish(Parts {
+            primvars: primvars.collect(),
+            positions,
+            triangles: triangulation.triangles,
+            triangle_faces: triangulation.faces,
+            normals,
+            point_normals,
+            corner_normals,
+            scheme: self.mesh.scheme,
+        })
+    }
+
+    /// Values of the last level by the smooth rules.
+    fn interpolate<T: opensubdiv_rs::far::Primvar>(&self, base: &[T], zero: T) -> Vec<T> {
+        let rules = PrimvarRefiner::new(&self.refiner);
+        let mut values = base.to_vec();
+        for level in 1..=self.refiner.max_level() {
+            let mut refined = vec![zero.clone(); self.refiner.level(level).num_vertices()];
+            rules.interpolate(level, &values, &mut refined);
+            values = refined;
+        }
+        values
+    }
+
+    fn limit<T: opensubdiv_rs::far::Primvar>(&self, values: &[T]) -> Vec<T> {
+        let mut limit = values.to_vec();
+        PrimvarRefiner::new(&self.refiner).limit(values, &mut limit);
+        limit
+    }
+
+    /// Cage face of every face of the last level.
+    fn source_faces(&self) -> Vec<u32> {
+        let mut sources = self.faces.clone();
+        for level in 1..=self.refiner.max_level() {
+            let refinement = self.refiner.refinement(level);
+            let children = 0..self.refiner.level(level).num_faces();
+            sources = children
+                .map(|child| sources[refinement.child_face_parent_face(child) as usize])
+                .collect();
+        }
+        sources
+    }
+
+    /// Holes are not drawn, nor are the faces at a boundary that is not interpolated.
+    fn drawn(&self, sources: &[u32]) -> Vec<bool> {
+        let base = self.refiner.level(0);
+        let mut is_drawn = self.mesh.topology.is_drawn.clone();
+        if boundary_rule(self.mesh.prim) == VtxBoundaryInterpolation::None {
+            for (index, &face) in self.faces.iter().enumerate() {
+                let mut points = base.face_vertices(index).iter();
+                is_drawn[face as usize] &= !points.any(|&v| base.is_vertex_boundary(v as usize));
+            }
+        }
+        sources
+            .iter()
+            .map(|&face| is_drawn[face as usize])
+            .collect()
+    }
+
+    fn triangulate(&self, sources: &[u32], is_drawn: &[bool]) -> Triangulation {
+        let last = self.last();
+        let mut result = Triangulation::default();
+        let mut first_corner = 0;
+        for (face, &source) in sources.iter().enumerate() {
+            if is_drawn[face] {
+                let vertices = last.face_vertices(face);
+                // Refined faces are convex enough: always the same diagonal, which neighbors agree on.
+                for i in 1..self.face_size - 1 {
+                    let local = [0, i, i + 1];
+                    result.triangles.push(
+                        local.map(|corner| self.position_of_vertex[vertices[corner] as usize]),
+                    );
+                    result
+                        .corners
+                        .push(local.map(|corner| first_corner + small(corner)));
+                    result.faces.push(source);
+                }
+            }
+            first_corner += small(self.face_size);
+        }
+        result
+    }
+
+    /// Limit normals; `None` for bilinear surfaces, which are faceted.
+    fn normals(&self, data: &LevelData) -> Option<SectorNormals> {
+        if self.mesh.scheme == Scheme::Bilinear {
+            return None;
+        }
+        let mut sectors = SectorNormals::of(data);
+        if self.mesh.left_handed {
+            for normal in &mut sectors.normals {
+                *normal = -*normal;
+            }
+        }
+        Some(sectors)
+    }
+
+    /// Over the triangles, at the cage's points, and (where they split there) at the cage's face-vertices.
+    fn lay_out_normals(
+        &self,
+        sectors: SectorNormals,
+        triangulation: &Triangulation,
+    ) -> (Normals, Vec<Vec3>, Vec<Vec3>) {
+        let mut at_positions = vec![Vec3::ZERO; self.position_count];
+        let mut counts = vec![0_u32; self.position_count];
+        for (normal, &vertex) in sectors.normals.iter().zip(&sectors.vertex_of_sector) {
+            let position = self.position_of_vertex[vertex as usize] as usize;
+            at_positions[position] += *normal;
+            counts[position] += 1;
+        }
+        let point_count = self.mesh.topology.point_count;
+        let unit = |sum: &Vec3| sum.normalize_or_zero();
+        let points = at_positions[..point_count].iter().map(unit).collect();
+        let corners = if counts[..point_count].iter().any(|&count| count > 1) {
+            self.cage_corner_normals(&sectors)
+        } else {
+            Vec::new()
+        };
+        if counts.iter().all(|&count| count <= 1) {
+            return (Normals::Vertex(at_positions), points, corners);
+        }
+        let of_corner = |corner: u32| sectors.sector_of_corner[corner as usize];
+        let normals = Normals::Corner {
+            corners: triangulation
+                .corners
+                .iter()
+                .map(|t| t.map(of_corner))
+                .collect(),
+            values: sectors.normals,
+        };
+        (normals, points, corners)
+    }
+
+    /// The normal of every cage face-vertex is that of the refined face in its corner: child i of a face lies at its
+    /// corner i, and has that corner first (quads) or in place (triangles).
+    fn cage_corner_normals(&self, sectors: &SectorNormals) -> Vec<Vec3> {
+        let topology = &self.mesh.topology;
+        let mut normals = vec![Vec3::ZERO; topology.indices.len()];
+        let mut first_child = 0;
+        for &face in &self.faces {
+            for (corner, slot) in topology.corners(face as usize).enumerate() {
+                let mut child = first_child + corner;
+                let place = if self.face_size == 3 { corner } else { 0 };
+                for _ in 1..self.refiner.max_level() {
+                    child = 4 * child + place;
+                }
+                let sector = sectors.sector_of_corner[child * self.face_size + place];
+                if let Some(normal) = sectors.normals.get(sector as usize) {
+                    normals[slot] = *normal;
+                }
+            }
+            first_child += match self.mesh.scheme {
+                Scheme::Loop => 4,
+                _ => topology.counts[face as usize] as usize,
+            };
+        }
+        normals
+    }
+
+    /// Face-varying channel of every primvar, in the order in which [`Control`] adds them.
+    fn channels(&self) -> Vec<Option<usize>> {
+        let mut next = 0;
+        let primvars = self.mesh.primvars.iter();
+        primvars
+            .map(|primvar| {
+                (primvar.layout == Layout::FaceVarying).then(|| {
+                    next += 1;
+                    next - 1
+                })
+            })
+            .collect()
+    }
+
+    fn primvar(
+        &self,
+        primvar: &AuthoredPrimvar,
+        channel: Option<usize>,
+        triangulation: &Triangulation,
+    ) -> Primvar {
+        let by_position = |values: Vec<[f32; 4]>| {
+            let mut ordered = primvar.expanded();
+            ordered.resize(self.position_count, Vec4::ZERO);
+            for (vertex, value) in values.into_iter().enumerate() {
+                ordered[self.position_of_vertex[vertex] as usize] = Vec4::from_array(value);
+            }
+            primvar.finish(Interpolation::Vertex, ordered)
+        };
+        match (primvar.layout, channel) {
+            (Layout::Vertex, _) => {
+                let refined = self.interpolate(&arrays(&primvar.expanded()), [0.0; 4]);
+                by_position(self.limit(&refined))
+            }
+            (Layout::Varying, _) => by_position(self.varying(arrays(&primvar.expanded()))),
+            (Layout::FaceVarying, Some(channel)) => {
+                self.face_varying(primvar, channel, triangulation)
+            }
+            _ => primvar.on_polygons(triangulation),
+        }
+    }
+
+    /// Varying values: linear along edges and over faces, at every level.
+    fn varying(&self, mut values: Vec<[f32; 4]>) -> Vec<[f32; 4]> {
+        for level in 1..=self.refiner.max_level() {
+            let parent = self.refiner.level(level - 1);
+            let refinement = self.refiner.refinement(level);
+            let mut refined = vec![[0.0; 4]; self.refiner.level(level).num_vertices()];
+            let mut set = |child: u32, vertices: &[u32]| {
+                if let Some(slot) = refined.get_mut(child as usize) {
+                    *slot = mean(&values, vertices);
+                }
+            };
+            for face in 0..parent.num_faces() {
+                set(
+                    refinement.face_child_vertex(face),
+                    parent.face_vertices(face),
+                );
+            }
+            for edge in 0..parent.num_edges() {
+                set(
+                    refinement.edge_child_vertex(edge),
+                    &parent.edge_vertices(edge),
+                );
+            }
+            for vertex in 0..parent.num_vertices() {
+                set(refinement.vertex_child_vertex(vertex), &[small(vertex)]);
+            }
+            values = refined;
+        }
+        values
+    }
+
+    fn face_varying(
+        &self,
+        primvar: &AuthoredPrimvar,
+        channel: usize,
+        triangulation: &Triangulation,
+    ) -> Primvar {
+        let rules = PrimvarRefiner::new(&self.refiner);
+        let base = arrays(&primvar.values);
+        let values = rules.interpolate_face_varying_all(channel, &base).pop();
+        let values = values.unwrap_or(base);
+        let mut limit = values.clone();
+        rules.limit_face_varying(channel, &values, &mut limit);
+        let last = self.last();
+        let at = |corner: u32| {
+            let (face, corner) = (
+                corner as usize / self.face_size,
+                corner as usize % self.face_size,
+            );
+            last.face_fvar_values(face, channel)[corner]
+        };
+        let corners = triangulation.corners.iter().map(|t| t.map(at)).collect();
+        let values = limit.into_iter().map(Vec4::from_array).collect();
+        primvar.finish(Interpolation::Corner(corners), values)
+    }
+}
+
+fn small(index: usize) -> u32 {
+    u32::try_from(index).expect("opensubdiv-rs numbers everything in u32")
+}
+
+fn arrays(values: &[Vec4]) -> Vec<[f32; 4]> {
+    values.iter().map(Vec4::to_array).collect()
+}
+
+fn mean(values: &[[f32; 4]], vertices: &[u32]) -> [f32; 4] {
+    let vectors = vertices.iter();
+    let sum: Vec4 = vectors.map(|&v| Vec4::from_array(values[v as usize])).sum();
+    #[expect(clippy::cast_precision_loss, reason = "faces have few vertices")]
+    let count = vertices.len() as f32;
+    (sum / count).to_array()
+}
+
+/// Position of every vertex of the last level: cage points keep their index, the others follow. Also the number of
+/// positions in use.
+fn order_vertices(refiner: &TopologyRefiner, cage_indices: &[u32]) -> (Vec<u32>, usize) {
+    let last = refiner.max_level();
+    let point_count = refiner.level(0).num_vertices();
+    let mut positions = vec![u32::MAX; refiner.level(last).num_vertices()];
+    let mut is_used = vec![false; point_count];
+    for &point in cage_indices {
+        is_used[point as usize] = true;
+    }
+    for point in (0..point_count).filter(|&point| is_used[point]) {
+        let vertex = (1..=last).try_fold(point, |vertex, level| {
+            let child = refiner.refinement(level).vertex_child_vertex(vertex);
+            // Points of faces that are not refined have no child.
+            (child != opensubdiv_rs::INDEX_INVALID).then_some(child as usize)
+        });
+        if let Some(vertex) = vertex {
+            positions[vertex] = small(point);
+        }
+    }
+    let mut next = small(point_count);
+    for position in positions
+        .iter_mut()
+        .filter(|position| **position == u32::MAX)
+    {
+        *position = next;
+        next += 1;
+    }
+    (positions, next as usize)
+}
+
+/// The cage as `opensubdiv-rs` wants it described.
+struct Control {
+    counts: Vec<usize>,
+    indices: Vec<u32>,
+    creases: Vec<[u32; 2]>,
+    crease_sharpnesses: Vec<f32>,
+    corners: Vec<u32>,
+    corner_sharpnesses: Vec<f32>,
+    /// Value indices of every face-varying primvar, and how many values it has.
+    channels: Vec<(usize, Vec<u32>)>,
+}
+
+impl Control {
+    fn of(mesh: &AuthoredMesh, faces: &[u32], diagnostics: &Diagnostics) -> Self {
+        let topology = &mesh.topology;
+        let corners_of = |face: &u32| topology.corners(*face as usize);
+        let indices: Vec<u32> = faces
+            .iter()
+            .flat_map(|face| topology.points_of(*face as usize).iter().copied())
+            .collect();
+        let channels = mesh.primvars.iter();
+        let channels = channels.filter(|primvar| primvar.layout == Layout::FaceVarying);
+        let mut control = Self {
+            counts: faces.iter().map(|face| corners_of(face).len()).collect(),
+            creases: Vec::new(),
+            crease_sharpnesses: Vec::new(),
+            corners: Vec::new(),
+            corner_sharpnesses: Vec::new(),
+            channels: channels
+                .map(|primvar| {
+                    let elements = faces.iter().flat_map(corners_of);
+                    let elements = elements.map(|corner| primvar.elements[corner]);
+                    (primvar.values.len(), elements.collect())
+                })
+                .collect(),
+            indices,
+        };
+        let flaws = control.add_creases(mesh) + control.add_corners(mesh);
+        if flaws > 0 {
+            diagnostics.warn(
+                "bad-crease",
+                mesh.prim.path.clone(),
+                format!("{flaws} creases or corners are ignored: they name no edge or point of the mesh, or have no sharpness"),
+            );
+        }
+        control
+    }
+
+    /// Edges of the authored creases, one sharpness a crease or one an edge. Returns how many make no sense.
+    fn add_creases(&mut self, mesh: &AuthoredMesh) -> usize {
+        let lengths = ints(mesh.prim, "creaseLengths");
+        if lengths.is_empty() {
+            return 0;
+        }
+        let edges = self.edges();
+        let sharpnesses = floats(mesh.prim, "creaseSharpnesses");
+        let per_crease = sharpnesses.len() == lengths.len();
+        let mut points = ints(mesh.prim, "creaseIndices");
+        let (mut edge_count, mut flaws) = (0, 0);
+        for (crease, &length) in lengths.iter().enumerate() {
+            let length = usize::try_from(length).unwrap_or(0).min(points.len());
+            let (chain, rest) = points.split_at(length);
+            points = rest;
+            for pair in chain.windows(2) {
+                let sharpness = sharpnesses.get(if per_crease { crease } else { edge_count });
+                edge_count += 1;
+                let [a, b] = [pair[0], pair[1]].map(|i| u32::try_from(i).unwrap_or(u32::MAX));
+                match sharpness.filter(|sharpness| sharpness.is_finite()) {
+                    Some(&sharpness) if edges.contains(&(a.min(b), a.max(b))) => {
+                        self.creases.push([a, b]);
+                        self.crease_sharpnesses.push(sharpness.max(0.0));
+                    }
+                    _ => flaws += 1,
+                }
+            }
+        }
+        flaws
+    }
+
+    fn edges(&self) -> HashSet<(u32, u32)> {
+        let mut edges = HashSet::new();
+        let mut first = 0;
+        for &count in &self.counts {
+            let face = &self.indices[first..first + count];
+            for (i, &a) in face.iter().enumerate() {
+                let b = face[(i + 1) % count];
+                edges.insert((a.min(b), a.max(b)));
+            }
+            first += count;
+        }
+        edges
+    }
+
+    fn add_corners(&mut self, mesh: &AuthoredMesh) -> usize {
+        let points = ints(mesh.prim, "cornerIndices");
+        let mut sharpnesses = floats(mesh.prim, "cornerSharpnesses").iter();
+        let mut flaws = 0;
+        for &point in points {
+            let sharpness = sharpnesses.next().filter(|sharpness| sharpness.is_finite());
+            let point = u32::try_from(point).unwrap_or(u32::MAX);
+            match sharpness {
+                Some(sharpness) if (point as usize) < mesh.topology.point_count => {
+                    self.corners.push(point);
+                    self.corner_sharpnesses.push(sharpness.max(0.0));
+                }
+                _ => flaws += 1,
+            }
+        }
+        flaws
+    }
+
+    fn refiner(&self, mesh: &AuthoredMesh) -> Result<TopologyRefiner, String> {
+        let channels: Vec<FVarChannelDescriptor> = self
+            .channels
+            .iter()
+            .map(|(count, indices)| FVarChannelDescriptor::new(*count, indices))
+            .collect();
+        let descriptor =
+            TopologyDescriptor::new(mesh.topology.point_count, &self.counts, &self.indices)
+                .with_creases(&self.creases, &self.crease_sharpnesses)
+                .with_corners(&self.corners, &self.corner_sharpnesses)
+                .with_fvar_channels(&channels);
+        let scheme = match mesh.scheme {
+            Scheme::Loop => SchemeType::Loop,
+            Scheme::Bilinear => SchemeType::Bilinear,
+            Scheme::CatmullClark | Scheme::None => SchemeType::Catmark,
+        };
+        TopologyRefinerFactory::create(descriptor, scheme, options(mesh.prim))
+            .map_err(|error| error.to_string())
+    }
+}
+
+fn boundary_rule(prim: &RawPrim) -> VtxBoundaryInterpolation {
+    match token(prim, "interpolateBoundary", "edgeAndCorner") {
+        "none" => VtxBoundaryInterpolation::None,
+        "edgeOnly" => VtxBoundaryInterpolation::EdgeOnly,
+        _ => VtxBoundaryInterpolation::EdgeAndCorner,
+    }
+}
+
+fn options(prim: &RawPrim) -> Options {
+    let face_varying = match token(prim, "faceVaryingLinearInterpolation", "cornersPlus1") {
+        "all" => FVarLinearInterpolation::All,
+        "none" => FVarLinearInterpolation::None,
+        "cornersOnly" => FVarLinearInterpolation::CornersOnly,
+        "cornersPlus2" => FVarLinearInterpolation::CornersPlus2,
+        "boundaries" => FVarLinearInterpolation::Boundaries,
+        _ => FVarLinearInterpolation::CornersPlus1,
+    };
+    let triangles = match token(prim, "triangleSubdivisionRule", "catmullClark") {
+        "smooth" => TriangleSubdivision::Smooth,
+        _ => TriangleSubdivision::Catmark,
+    };
+    Options::new()
+        .with_vtx_boundary_interpolation(boundary_rule(prim))
+        .with_fvar_linear_interpolation(face_varying)
+        .with_triangle_subdivision(triangles)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::super::raw::Value;
+    use super::super::tests::{mesh, with_attribute, with_ints, with_token};
+    use super::*;
+    use glam::Vec2;
+
+    const CUBE_INDICES: [i32; 24] = [
+        0, 1, 3, 2, 2, 3, 5, 4, 4, 5, 7, 6, 6, 7, 1, 0, 1, 7, 5, 3, 6, 0, 2, 4,
+    ];
+
+    /// Corners at ±1.
+    fn cube() -> RawPrim {
+        let corners = [
+            [-1., -1., 1.],
+            [1., -1., 1.],
+            [-1., 1., 1.],
+            [1., 1., 1.],
+            [-1., 1., -1.],
+            [1., 1., -1.],
+            [-1., -1., -1.],
+            [1., -1., -1.],
+        ];
+        let prim = mesh("/m", &corners.map(Vec3::from_array), &[4; 6], &CUBE_INDICES);
+        with_token(prim, "subdivisionScheme", "catmullClark")
+    }
+
+    /// `side`² quads over `side + 1` points a side on the unit square, lifted by `height`.
+    fn grid(side: u8, height: impl Fn(Vec2) -> f32) -> RawPrim {
+        let at = |i: u8| f32::from(i) / f32::from(side);
+        let points: Vec<Vec3> = (0..=side)
+            .flat_map(|y| (0..=side).map(move |x| (x, y)))
+            .map(|(x, y)| {
+                let p = Vec2::new(at(x), at(y));
+                p.extend(height(p))
+            })
+            .collect();
+        let row = i32::from(side) + 1;
+        let indices: Vec<i32> = (0..i32::from(side))
+            .flat_map(|y| (0..i32::from(side)).map(move |x| y * row + x))
+            .flat_map(|i| [i, i + 1, i + 1 + row, i + row])
+            .collect();
+        let counts = vec![4; usize::from(side) * usize::from(side)];
+        let prim = mesh("/m", &points, &counts, &indices);
+        with_token(prim, "subdivisionScheme", "catmullClark")
+    }
+
+    fn sharp_edges(prim: RawPrim, pairs: &[i32], sharpness: f32) -> RawPrim {
+        let count = pairs.len() / 2;
+        let prim = with_ints(prim, "creaseIndices", pairs);
+        let prim = with_ints(prim, "creaseLengths", &vec![2; count]);
+        let sharpnesses = Value::FloatArray(vec![sharpness; count]);
+        with_attribute(prim, "creaseSharpnesses", sharpnesses, None)
+    }
+
+    fn refine_with(prim: &RawPrim, level: usize, names: &[&str]) -> (Mesh, Vec<String>) {
+        let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+        let diagnostics = Diagnostics::default();
+        let authored = AuthoredMesh::read(prim, &[], &names, &diagnostics);
+        let mesh = subdivide(&authored.unwrap().unwrap(), level, &diagnostics);
+        let kinds = diagnostics.warnings().into_iter().map(|w| w.kind);
+        (mesh, kinds.collect())
+    }
+
+    fn refine(prim: &RawPrim, level: usize) -> Mesh {
+        let (mesh, warnings) = refine_with(prim, level, &[]);
+        assert_eq!(warnings, Vec::<String>::new());
+        mesh
+    }
+
+    fn area(mesh: &Mesh) -> f64 {
+        let doubled = (0..mesh.triangles.len()).map(|t| {
+            let [a, b, c] = mesh.corners(t).map(|p| p.as_dvec3());
+            (b - a).cross(c - a).length()
+        });
+        0.5 * doubled.sum::<f64>()
+    }
+
+    fn point_normals(mesh: &Mesh) -> &[Vec3] {
+        &mesh.cage.as_ref().unwrap().point_normals
+    }
+
+    /// Halstead et al.: (n² V + 4 Σ E + Σ F) / (n (n + 5)) with n = 3 halves the corners of a cube.
+    #[test]
+    fn corners_of_a_cube_have_their_limit_at_half_at_every_level() {
+        for level in 1..=3 {
+            let mesh = refine(&cube(), level);
+            for corner in 0..8 {
+                let sign = Vec3::from_array(mesh.positions[corner].to_array().map(f32::signum));
+                assert!(mesh.positions[corner].distance(0.5 * sign) < 1e-6);
+                assert!(point_normals(&mesh)[corner].distance(sign.normalize()) < 1e-6);
+            }
+            assert_eq!(
+                mesh.triangles.len(),
+                6 * 4_usize.pow(u32::try_from(level).unwrap()) * 2
+            );
+            assert!(mesh.closed && mesh.scheme == "catmullClark");
+            assert!(matches!(mesh.normals, Normals::Vertex(_)));
+        }
+    }
+
+    /// Where the control points are regular the limit is a bicubic B-spline: 4/6, 1/6, 1/6 along both axes.
+    #[test]
+    fn regular_vertices_have_the_bicubic_b_spline_as_limit() {
+        let height = |p: Vec2| (7.0 * p.x + 3.0 * p.y).sin();
+        let mesh = refine(&grid(4, height), 2);
+        let sample = |x: f32, y: f32| height(Vec2::new(0.5 + x, 0.5 + y));
+        let weights = [1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0];
+        let slopes = [-0.5 * 4.0, 0.0, 0.5 * 4.0];
+        let blend = |u: [f32; 3], v: [f32; 3]| -> f32 {
+            let along = |j: usize, y: f32| {
+                (0..3)
+                    .zip([-0.25, 0.0, 0.25])
+                    .map(|(i, x)| u[i] * v[j] * sample(x, y))
+                    .sum::<f32>()
+            };
+            (0..3)
+                .zip([-0.25, 0.0, 0.25])
+                .map(|(j, y)| along(j, y))
+                .sum()
+        };
+        let middle = mesh.positions[12];
+        assert!((middle.z - blend(weights, weights)).abs() < 1e-6);
+        let normal = Vec3::new(-blend(slopes, weights), -blend(weights, slopes), 1.0);
+        assert!(point_normals(&mesh)[12].distance(normal.normalize()) < 1e-5);
+    }
+
+    /// Limit tangents belong to the surface, not to the level they are taken at; and far down the facets themselves
+    /// lean as the surface does.
+    fn assert_normals_converge(prim: &RawPrim) {
+        let coarse = refine(prim, 1);
+        let fine = refine(prim, 6);
+        let count = point_normals(&coarse).len();
+        let mut facets = vec![Vec3::ZERO; count];
+        for (t, triangle) in fine.triangles.iter().enumerate() {
+            for &i in triangle.iter().filter(|&&i| (i as usize) < count) {
+                facets[i as usize] += fine.plane_normal(t);
+            }
+        }
+        for (point, facet) in facets.iter().enumerate() {
+            let normals = [&coarse, &fine].map(|mesh| point_normals(mesh)[point]);
+            assert!(
+                normals[0].distance(normals[1]) < 2e-4,
+                "point {point}: {normals:?}"
+            );
+            let cage = coarse.cage.as_ref().unwrap();
+            let mut uses = cage.face_vertex_indices.iter();
+            if uses.by_ref().filter(|&&i| i as usize == point).count() == 1 {
+                // At rounded corners of one face facets turn to the tangent plane as slowly as 1 / level.
+                continue;
+            }
+            let facet = facet.normalize();
+            assert!(
+                normals[0].distance(facet) < 0.03,
+                "point {point}: {normals:?} {facet}"
+            );
+        }
+    }
+
+    #[test]
+    fn catmull_clark_normals_converge_inside_and_on_boundaries() {
+        let bumpy = grid(3, |p| 0.3 * (5.0 * p.x + 2.0 * p.y * p.y).sin());
+        assert_normals_converge(&bumpy);
+        let edge_only = with_token(bumpy, "interpolateBoundary", "edgeOnly");
+        assert_normals_converge(&edge_only);
+    }
+
+    #[test]
+    fn loop_normals_converge_inside_and_on_boundaries() {
+        let quads = grid(3, |p| 0.3 * (5.0 * p.x + 2.0 * p.y * p.y).sin());
+        let points = super::super::attributes::vectors(&quads, "points");
+        let corners = ints(&quads, "faceVertexIndices").chunks(4);
+        let triangles: Vec<i32> = corners
+            .flat_map(|q| [q[0], q[1], q[2], q[0], q[2], q[3]])
+            .collect();
+        let prim = mesh("/m", points, &[3; 18], &triangles);
+        assert_normals_converge(&with_token(prim, "subdivisionScheme", "loop"));
+    }
+
+    #[test]
+    fn a_crease_across_a_sheet_splits_its_normals() {
+        let roof = grid(4, |p| 0.5 - (p.x - 0.5).abs());
+        let ridge = [2, 7, 7, 12, 12, 17, 17, 22];
+        let mesh = refine(&sharp_edges(roof, &ridge, 10.0), 2);
+        let cage = mesh.cage.as_ref().unwrap();
+        assert!(matches!(mesh.normals, Normals::Corner { .. }));
+        // Face-vertices of point 12 in the four faces around it, left and right of the ridge.
+        let left = Vec3::new(-1.0, 0.0, 1.0).normalize();
+        let right = Vec3::new(1.0, 0.0, 1.0).normalize();
+        let at_ridge = cage
+            .face_vertex_indices
+            .iter()
+            .zip(&cage.corner_normals)
+            .enumerate();
+        let at_ridge: Vec<_> = at_ridge.filter(|(_, (point, _))| **point == 12).collect();
+        assert_eq!(at_ridge.len(), 4);
+        for (corner, (_, normal)) in at_ridge {
+            let expected = if corner / 4 % 4 < 2 { left } else { right };
+            assert!(normal.distance(expected) < 0.1, "corner {corner}: {normal}");
+        }
+        assert!(cage.point_normals[12].distance(Vec3::Z) < 1e-5);
+    }
+
+    #[test]
+    fn a_cube_with_infinitely_sharp_edges_stays_a_cube() {
+        let edges = [
+            0, 1, 1, 3, 3, 2, 2, 0, 3, 5, 5, 4, 4, 2, 5, 7, 7, 6, 6, 4, 7, 1, 0, 6,
+        ];
+        let mesh = refine(&sharp_edges(cube(), &edges, 10.0), 2);
+        assert!((area(&mesh) - 24.0).abs() < 1e-4);
+        let cage = mesh.cage.as_ref().unwrap();
+        assert!(
+            cage.corner_normals[..4]
+                .iter()
+                .all(|n| n.distance(Vec3::Z) < 1e-6)
+        );
+        for t in 0..mesh.triangles.len() {
+            assert!(
+                mesh.shading_normal(t, 0.2, 0.3)
+                    .distance(mesh.plane_normal(t))
+                    < 1e-5
+            );
+        }
+    }
+
+    /// Sharpness s < 1 blends linearly between smooth and sharp at the first level, where it then vanishes: for a
+    /// cage of one crease the limit is linear in s.
+    #[test]
+    fn semi_sharp_creases_lie_between_smooth_and_sharp() {
+        let roof = || grid(4, |p| 0.5 - (p.x - 0.5).abs());
+        let ridge = [2, 7, 7, 12, 12, 17, 17, 22];
+        let height = |sharpness: f32, level: usize| {
+            refine(&sharp_edges(roof(), &ridge, sharpness), level).positions[12].z
+        };
+        let (smooth, sharp) = (height(0.0, 1), height(10.0, 1));
+        let (half, one) = (height(0.5, 1), height(1.0, 2));
+        assert!((sharp - 0.5).abs() < 1e-6 && smooth < half && half < one && one < sharp);
+        assert!(
+            (half - 0.5 * (smooth + one)).abs() < 1e-6,
+            "{smooth} {half} {one}"
+        );
+    }
+
+    #[test]
+    fn a_flat_sheet_keeps_its_corners_or_rounds_them_as_asked() {
+        let sheet = grid(3, |_| 0.0);
+        let whole = area(&refine(&sheet, 3));
+        assert!((whole - 1.0).abs() < 1e-5, "{whole}");
+        let rounded = refine(
+            &with_token(sheet.clone(), "interpolateBoundary", "edgeOnly"),
+            3,
+        );
+        assert!(area(&rounded) < 0.99 && area(&rounded) > 0.9);
+        let shrunk = refine(&with_token(sheet, "interpolateBoundary", "none"), 2);
+        assert!(shrunk.triangle_faces.iter().all(|&face| face == 4));
+    }
+
+    #[test]
+    fn left_handed_surfaces_look_the_other_way() {
+        let mesh = refine(&with_token(cube(), "orientation", "leftHanded"), 1);
+        assert!(point_normals(&mesh)[0].dot(mesh.positions[0]) < 0.0);
+        let outward = mesh.positions[mesh.triangles[0][0] as usize];
+        assert!(mesh.plane_normal(0).dot(outward) < 0.0);
+        assert!(mesh.shading_normal(0, 0.3, 0.3).dot(outward) < 0.0);
+    }
+
+    #[test]
+    fn primvars_follow_the_rule_of_their_interpolation() {
+        let count = |n: u8| (0..n).map(f32::from).collect::<Vec<_>>();
+        let sheet = grid(2, |_| 0.0);
+        let points = super::super::attributes::vectors(&sheet, "points").to_vec();
+        let st: Vec<Vec2> = points.iter().map(|p| p.truncate()).collect();
+        let indices = ints(&sheet, "faceVertexIndices").to_vec();
+        let xs = |f: fn(f32) -> f32| Value::FloatArray(points.iter().map(|p| f(p.x)).collect());
+        let step = |x: f32| if x == 0.5 { 1.0 } else { 0.0 };
+        let prim = with_attribute(
+            sheet,
+            "primvars:u",
+            Value::FloatArray(count(4)),
+            Some("uniform"),
+        );
+        let prim = with_attribute(prim, "primvars:v", xs(step), Some("vertex"));
+        let prim = with_attribute(prim, "primvars:w", xs(step), Some("varying"));
+        let prim = with_attribute(
+            prim,
+            "primvars:st",
+            Value::Vec2Array(st),
+            Some("faceVarying"),
+        );
+        let prim = with_ints(prim, "primvars:st:indices", &indices);
+        let prim = with_token(prim, "faceVaryingLinearInterpolation", "none");
+        let (mesh, warnings) = refine_with(&prim, 2, &["u", "v", "w", "st"]);
+        assert!(warnings.is_empty());
+        let [u, v, w, st] = ["u", "v", "w", "st"].map(|name| mesh.primvar(name).unwrap());
+        // The middle of the ridge: 4/6 of it by the smooth rule, all of it by the linear one.
+        assert!((v.values[4].x - 4.0 / 6.0).abs() < 1e-6);
+        assert_eq!(w.values[4].x, 1.0);
+        let edge_only = with_token(prim, "interpolateBoundary", "edgeOnly");
+        let (rounded, _) = refine_with(&edge_only, 2, &["st"]);
+        // Texture coordinates that are the positions stay so under the same rules.
+        for t in 0..rounded.triangles.len() {
+            let st = rounded
+                .primvar("st")
+                .unwrap()
+                .sample(&rounded, t, 0.25, 0.25);
+            let [a, b, c] = rounded.corners(t);
+            let p = 0.5 * a + 0.25 * b + 0.25 * c;
+            assert!(st.truncate().distance(p) < 1e-6, "{st} at {p}");
+        }
+        for t in 0..mesh.triangles.len() {
+            let face = f32::from(u8::try_from(mesh.triangle_faces[t]).unwrap());
+            assert_eq!(u.sample(&mesh, t, 0.3, 0.3).x, face);
+            assert!(w.sample(&mesh, t, 0.0, 0.0).x <= 1.0);
+        }
+        assert_eq!(st.components, 2);
+    }
+
+    #[test]
+    fn unused_points_stay_and_holes_are_not_drawn_but_support() {
+        let whole = refine(&cube(), 1);
+        let mut open = with_ints(cube(), "holeIndices", &[0]);
+        let Some(Value::Vec3Array(points)) = open
+            .attributes
+            .get_mut("points")
+            .and_then(|a| a.value.as_mut())
+        else {
+            unreachable!("the cube has points")
+        };
+        points.push(Vec3::splat(9.0));
+        let open = refine(&open, 1);
+        assert_eq!(open.positions[8], Vec3::splat(9.0));
+        assert_eq!(open.positions[0], whole.positions[0]);
+        assert_eq!(open.triangles.len(), whole.triangles.len() - 8);
+        assert!(open.triangle_faces.iter().all(|&face| face != 0));
+        assert!(point_normals(&open)[0].distance(point_normals(&whole)[0]) < 1e-6);
+    }
+
+    #[test]
+    fn bilinear_meshes_keep_their_points_and_are_faceted() {
+        let mesh = refine(&with_token(cube(), "subdivisionScheme", "bilinear"), 2);
+        assert!((area(&mesh) - 24.0).abs() < 1e-5);
+        assert_eq!(mesh.normals, Normals::Flat);
+        assert_eq!(mesh.positions[0], Vec3::new(-1.0, -1.0, 1.0));
+        assert_eq!(mesh.cage.unwrap().corner_normals[0], Vec3::Z);
+    }
+
+    #[test]
+    fn what_cannot_be_subdivided_is_drawn_as_polygons_with_a_warning() {
+        let (mesh, warnings) =
+            refine_with(&with_token(cube(), "subdivisionScheme", "loop"), 2, &[]);
+        assert_eq!(
+            (mesh.triangles.len(), warnings),
+            (12, vec!["not-subdivided".to_owned()])
+        );
+        assert_eq!(mesh.scheme, "none");
+        let points = [Vec3::ZERO, Vec3::X, Vec3::Y];
+        let repeated = mesh_of_repeated_points(&points);
+        let (mesh, warnings) = refine_with(&repeated, 1, &[]);
+        assert_eq!(
+            (mesh.triangles.len(), warnings),
+            (1, vec!["not-subdivided".to_owned()])
+        );
+    }
+
+    fn mesh_of_repeated_points(points: &[Vec3]) -> RawPrim {
+        let prim = mesh("/m", points, &[4], &[0, 1, 1, 2]);
+        with_token(prim, "subdivisionScheme", "catmullClark")
+    }
+
+    #[test]
+    fn fins_turned_neighbors_and_touching_corners_are_refined_without_panic() {
+        // Three quads on one edge; two quads that run the same way along their edge; two that share a corner only.
+        let points: Vec<Vec3> = (0..12_u8)
+            .map(|i| Vec3::new(f32::from(i % 3), f32::from(i / 3), f32::from(i * i % 5)))
+            .collect();
+        for indices in [
+            vec![0, 1, 4, 3, 1, 2, 5, 4, 1, 7, 10, 4],
+            vec![0, 1, 4, 3, 4, 5, 2, 1, 1, 4, 7, 6],
+            vec![0, 1, 4, 3, 4, 5, 8, 7],
+        ] {
+            let prim = mesh("/m", &points, &vec![4; indices.len() / 4], &indices);
+            let mesh = refine(&with_token(prim, "subdivisionScheme", "catmullClark"), 2);
+            assert!(mesh.positions.iter().all(|p| p.is_finite()));
+            assert_eq!(mesh.triangles.len(), indices.len() / 4 * 32);
+        }
+    }
+
+    #[test]
+    fn creases_that_name_no_edge_are_left_out_with_a_warning() {
+        let (_, warnings) = refine_with(&sharp_edges(cube(), &[0, 3, -1, 5], 2.0), 1, &[]);
+        assert_eq!(warnings, ["bad-crease"]);
+    }
+
+    #[test]
+    fn levels_reach_the_highest_finite_sharpness() {
+        assert_eq!(sharpness_levels(&cube()), 0);
+        for (sharpness, levels) in [(0.5, 1), (1.0, 1), (2.2, 3), (10.0, 0), (f32::INFINITY, 0)] {
+            assert_eq!(
+                sharpness_levels(&sharp_edges(cube(), &[0, 1], sharpness)),
+                levels
+            );
+        }
+    }
+}
