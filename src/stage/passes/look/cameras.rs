@@ -92,3 +92,53 @@ impl Reader<'_> {
         self.diagnostics.warn("invalid-camera", self.path, message);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::fixture::Fixture;
+    use super::*;
+    use glam::{DMat4, DVec2};
+
+    fn read_cameras(stage: &Fixture, world: DMat4) -> (Vec<Camera>, usize) {
+        let mut occurrences = stage.occurrences();
+        occurrences[0].world_from_local = world;
+        let paths = Paths::new(&stage.raw, &occurrences);
+        let diagnostics = Diagnostics::default();
+        let cameras = read(&paths, &diagnostics);
+        (cameras, diagnostics.warnings().len())
+    }
+
+    #[test]
+    fn fallbacks_are_those_of_the_schema() {
+        let (cameras, warnings) =
+            read_cameras(&Fixture::default().prim("/C", "Camera"), DMat4::IDENTITY);
+        let camera = &cameras[0];
+        assert_eq!(warnings, 0);
+        assert_eq!(camera.projection, Projection::Perspective);
+        assert_eq!(
+            (camera.horizontal_aperture, camera.vertical_aperture),
+            (20.955, 15.2908)
+        );
+        assert_eq!(
+            (camera.focal_length, camera.clipping_range),
+            (50.0, (1.0, 1e6))
+        );
+    }
+
+    #[test]
+    fn nonsense_falls_back_with_warnings() {
+        let stage = Fixture::default()
+            .prim("/C", "Camera")
+            .number("focalLength", 0.0)
+            .number("horizontalAperture", f64::NAN)
+            .value("clippingRange", Value::Vec2(DVec2::new(5.0, 1.0)));
+        let (cameras, warnings) = read_cameras(&stage, DMat4::IDENTITY);
+        assert_eq!(
+            (cameras[0].focal_length, cameras[0].clipping_range),
+            (50.0, (1.0, 1e6))
+        );
+        assert_eq!(warnings, 3);
+        let flat = DMat4::from_scale(glam::DVec3::new(1.0, 1.0, 0.0));
+        assert_eq!(read_cameras(&stage, flat).0.len(), 0);
+    }
+}

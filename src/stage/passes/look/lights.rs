@@ -296,3 +296,184 @@ fn is_finite(light: &Light) -> bool {
         && light.radiance.is_finite()
         && light.world_from_light.is_finite()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::fixture::Fixture;
+    use super::*;
+    use glam::DVec2;
+
+    fn read_lights(stage: &Fixture, up_axis: UpAxis) -> (Vec<Light>, Vec<String>) {
+        let mut occurrences = stage.occurrences();
+        for occurrence in &mut occurrences {
+            occurrence.world_from_local = DMat4::from_translation(DVec3::new(1e6 + 1.0, 2.0, 3.0));
+        }
+        let paths = Paths::new(&stage.raw, &occurrences);
+        let diagnostics = Diagnostics::default();
+        let origin = DVec3::new(1e6, 0.0, 0.0);
+        let lights = read(
+            &paths,
+            |occurrence| occurrence.visible,
+            origin,
+            up_axis,
+            &diagnostics,
+        );
+        let messages = diagnostics
+            .warnings()
+            .into_iter()
+            .map(|w| w.message)
+            .collect();
+        (lights, messages)
+    }
+
+    fn one(stage: &Fixture) -> Light {
+        let (lights, warnings) = read_lights(stage, UpAxis::Y);
+        assert_eq!((lights.len(), warnings.len()), (1, 0), "{warnings:?}");
+        lights[0].clone()
+    }
+
+    #[test]
+    fn fallbacks_are_those_of_the_schemas() {
+        let kind = |name: &str| one(&Fixture::default().prim("/L", name));
+        let distant = kind("DistantLight");
+        assert_eq!(distant.radiance, Vec3::splat(50_000.0));
+        assert_eq!(
+            distant.kind,
+            LightKind::Distant {
+                angle: 0.53_f32.to_radians()
+            }
+        );
+        let sphere = kind("SphereLight");
+        assert_eq!(
+            sphere.kind,
+            LightKind::Sphere {
+                radius: 0.5,
+                treat_as_point: false
+            }
+        );
+        assert_eq!((sphere.radiance, sphere.normalize), (Vec3::ONE, false));
+        assert_eq!((sphere.shaping, sphere.casts_shadows), (None, true));
+        let rect = LightKind::Rect {
+            width: 1.0,
+            height: 1.0,
+            texture: None,
+        };
+        assert_eq!(kind("RectLight").kind, rect);
+        let cylinder = LightKind::Cylinder {
+            radius: 0.5,
+            length: 1.0,
+        };
+        assert_eq!(kind("CylinderLight").kind, cylinder);
+        assert_eq!(kind("DomeLight").kind, LightKind::Dome { texture: None });
+    }
+
+    #[test]
+    fn radiance_is_the_product_of_its_inputs_under_both_names() {
+        for prefix in ["inputs:", ""] {
+            let name = |input: &str| format!("{prefix}{input}");
+            let stage = Fixture::default()
+                .prim("/L", "DiskLight")
+                .number(&name("intensity"), 3.0)
+                .number(&name("exposure"), 2.0)
+                .number(&name("diffuse"), 0.5)
+                .value(&name("color"), Value::Vec3(DVec3::new(1.0, 0.5, 0.0)))
+                .value(&name("enableColorTemperature"), Value::Bool(true))
+                .number(&name("colorTemperature"), 2000.0)
+                .number(&name("radius"), 4.0);
+            let light = one(&stage);
+            // 3 · 2² · ½ = 6 times usd-core's color of 2000 K.
+            let expected = Vec3::new(6.0 * 2.520_566_2, 3.0 * 0.646_888_26, 0.0);
+            assert!(
+                light.radiance.distance(expected) < 1e-4,
+                "{}",
+                light.radiance
+            );
+            assert_eq!(light.kind, LightKind::Disk { radius: 4.0 });
+        }
+    }
+
+    #[test]
+    fn positions_are_relative_to_the_origin() {
+        let light = one(&Fixture::default().prim("/L", "SphereLight"));
+        let position = Vec3::from(light.world_from_light.translation);
+        assert_eq!(position, Vec3::new(1.0, 2.0, 3.0));
+    }
+
+    #[test]
+    fn domes_turn_their_pole_to_z_where_the_schema_says() {
+        let directions = |type_name: &str, up: UpAxis, pole: &str| {
+            let stage = Fixture::default()
+                .prim("/L", type_name)
+                .token("poleAxis", pole);
+            let light = read_lights(&stage, up).0.remove(0);
+            let turned = |v: Vec3| light.world_from_light.transform_vector3(v).round();
+            (turned(Vec3::Y), turned(Vec3::Z), turned(Vec3::X))
+        };
+        let y_pole = (Vec3::Y, Vec3::Z, Vec3::X);
+        // UsdLux: with the pole on Z, latitude 0, longitude 0 points into negative Y.
+        let z_pole = (Vec3::Z, Vec3::NEG_Y, Vec3::X);
+        assert_eq!(directions("DomeLight", UpAxis::Z, "scene"), y_pole);
+        assert_eq!(directions("DomeLight_1", UpAxis::Y, "scene"), y_pole);
+        assert_eq!(directions("DomeLight_1", UpAxis::Z, "scene"), z_pole);
+        assert_eq!(directions("DomeLight_1", UpAxis::Y, "Z"), z_pole);
+        assert_eq!(directions("DomeLight_1", UpAxis::Z, "Y"), y_pole);
+    }
+
+    #[test]
+    fn shaping_has_a_cone_of_90_degrees_only_where_the_api_is_applied() {
+        let applied = one(&Fixture::default()
+            .prim("/L", "SphereLight")
+            .api("ShapingAPI"));
+        let angle = applied.shaping.unwrap().cone_angle;
+        assert!((angle - PI / 2.0).abs() < 1e-6);
+        let focus = Fixture::default()
+            .prim("/L", "SphereLight")
+            .number("inputs:shaping:focus", 2.0);
+        let shaping = one(&focus).shaping.unwrap();
+        assert_eq!((shaping.cone_angle, shaping.focus), (PI, 2.0));
+    }
+
+    #[test]
+    fn nonfinite_lights_are_left_out_and_negative_ones_clamped() {
+        let light = |name: &str, value: f64| {
+            read_lights(
+                &Fixture::default()
+                    .prim("/L", "SphereLight")
+                    .number(name, value),
+                UpAxis::Y,
+            )
+        };
+        for (name, value) in [
+            ("inputs:intensity", f64::NAN),
+            ("inputs:exposure", 1e9),
+            ("inputs:radius", f64::INFINITY),
+            ("inputs:radius", f64::NAN),
+            ("inputs:shaping:cone:angle", f64::NAN),
+        ] {
+            let (lights, warnings) = light(name, value);
+            assert_eq!((lights.len(), warnings.len()), (0, 1), "{name} {value}");
+        }
+        let (lights, warnings) = light("inputs:intensity", -1.0);
+        assert_eq!((lights[0].radiance, warnings.len()), (Vec3::ZERO, 1));
+    }
+
+    #[test]
+    fn what_is_not_applied_is_warned_of() {
+        let stage = Fixture::default()
+            .prim("/G", "GeometryLight")
+            .prim("/P", "PortalLight")
+            .prim("/M", "Mesh")
+            .api("MeshLightAPI")
+            .prim("/F", "LightFilter")
+            .prim("/I", "PointInstancer")
+            .prim("/I/L", "SphereLight")
+            .prim("/L", "RectLight")
+            .rel("collection:lightLink:excludes", &["/M"])
+            .rel("light:filters", &["/F"])
+            .prim("/C", "Cube")
+            .value("size", Value::Vec2(DVec2::ONE));
+        let (lights, warnings) = read_lights(&stage, UpAxis::Y);
+        assert_eq!(lights.len(), 1);
+        assert_eq!(warnings.len(), 7, "{warnings:#?}");
+    }
+}

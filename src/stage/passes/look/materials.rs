@@ -202,3 +202,191 @@ pub(super) fn primvars(material: &Material) -> impl Iterator<Item = &str> {
             Input::Texture(read) => Some(read.uv.primvar.as_str()),
         })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::fixture::Fixture;
+    use super::*;
+    use crate::scene::{ColorSpace, Wrap};
+    use crate::stage::raw::Value;
+    use glam::{DVec3, Vec2};
+
+    fn read_material(stage: &Fixture) -> (Material, Vec<String>) {
+        let occurrences = stage.occurrences();
+        let paths = Paths::new(&stage.raw, &occurrences);
+        let diagnostics = Diagnostics::default();
+        let prim = stage.raw.find("/M").unwrap();
+        let material = read(&paths, prim, "/M", &diagnostics);
+        let kinds = diagnostics.warnings().into_iter().map(|w| w.kind).collect();
+        (material, kinds)
+    }
+
+    fn preview() -> Fixture {
+        Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:surface", "/M/S.outputs:surface")
+            .prim("/M/S", "Shader")
+            .token("info:id", "UsdPreviewSurface")
+    }
+
+    fn asset(path: &str) -> Value {
+        Value::Asset {
+            authored: path.to_owned(),
+            resolved: path.to_owned(),
+        }
+    }
+
+    fn rgb(r: f64, g: f64, b: f64) -> Value {
+        Value::Vec3(DVec3::new(r, g, b))
+    }
+
+    #[test]
+    fn constants_and_defaults_are_those_of_the_specification() {
+        let stage = preview()
+            .value("inputs:diffuseColor", rgb(0.5, 0.25, 0.125))
+            .number("inputs:metallic", 0.75)
+            .value("inputs:useSpecularWorkflow", Value::Int(1));
+        let (material, warnings) = read_material(&stage);
+        let expected = Material {
+            path: "/M".to_owned(),
+            diffuse_color: Input::color(0.5, 0.25, 0.125),
+            metallic: Input::scalar(0.75),
+            specular_workflow: true,
+            ..Material::default()
+        };
+        assert_eq!(material, expected);
+        assert!(warnings.is_empty());
+    }
+
+    #[test]
+    fn values_pass_through_interface_inputs_and_node_graphs() {
+        let stage = Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:surface", "/M/G.outputs:out")
+            .value("inputs:tint", rgb(0.1, 0.2, 0.3))
+            .prim("/M/G", "NodeGraph")
+            .connect("outputs:out", "/M/G/S.outputs:surface")
+            .connect("inputs:color", "/M.inputs:tint")
+            .prim("/M/G/S", "Shader")
+            .token("info:id", "UsdPreviewSurface")
+            .connect("inputs:diffuseColor", "/M/G.inputs:color");
+        let (material, warnings) = read_material(&stage);
+        assert_eq!(material.diffuse_color, Input::color(0.1, 0.2, 0.3));
+        assert!(warnings.is_empty());
+    }
+
+    #[test]
+    fn textures_carry_their_file_channel_wrap_and_transformed_coordinates() {
+        let stage = preview()
+            .connect("inputs:diffuseColor", "/M/T.outputs:rgb")
+            .connect("inputs:opacity", "/M/T.outputs:a")
+            .prim("/M/T", "Shader")
+            .token("info:id", "UsdUVTexture")
+            .value("inputs:file", asset("/tex/a.png"))
+            .token("inputs:wrapS", "repeat")
+            .token("inputs:wrapT", "mirror")
+            .token("inputs:sourceColorSpace", "sRGB")
+            .connect("inputs:st", "/M/X.outputs:result")
+            .prim("/M/X", "Shader")
+            .token("info:id", "UsdTransform2d")
+            .value("inputs:scale", Value::Vec2(glam::DVec2::new(2.0, 4.0)))
+            .number("inputs:rotation", 90.0)
+            .value(
+                "inputs:translation",
+                Value::Vec2(glam::DVec2::new(10.0, 20.0)),
+            )
+            .connect("inputs:in", "/M/R.outputs:result")
+            .prim("/M/R", "Shader")
+            .token("info:id", "UsdPrimvarReader_float2")
+            .token("inputs:varname", "map1");
+        let (material, warnings) = read_material(&stage);
+        assert!(warnings.is_empty(), "{warnings:?}");
+        let Input::Texture(color) = &material.diffuse_color else {
+            panic!("no texture")
+        };
+        assert_eq!(color.file.to_str(), Some("/tex/a.png"));
+        assert_eq!((color.wrap_s, color.wrap_t), (Wrap::Repeat, Wrap::Mirror));
+        assert_eq!((color.channel, color.color_space), (None, ColorSpace::SRgb));
+        assert_eq!(color.uv.primvar, "map1");
+        // (1, 1) scaled is (2, 4), turned a quarter counter-clockwise (-4, 2), moved (6, 22).
+        let moved = color.uv.transform.transform_point2(Vec2::ONE);
+        assert!(moved.distance(Vec2::new(6.0, 22.0)) < 1e-5, "{moved}");
+        let Input::Texture(opacity) = &material.opacity else {
+            panic!("no texture")
+        };
+        assert_eq!(opacity.channel, Some(3));
+        assert_eq!(primvars(&material).collect::<Vec<_>>(), ["map1", "map1"]);
+    }
+
+    #[test]
+    fn primvar_readers_take_names_from_the_interface() {
+        let stage = preview()
+            .connect("inputs:emissiveColor", "/M/R.outputs:result")
+            .prim("/M/R", "Shader")
+            .token("info:id", "UsdPrimvarReader_float3")
+            .connect("inputs:varname", "/M.inputs:name")
+            .value("inputs:fallback", rgb(1.0, 2.0, 3.0));
+        let mut stage = stage;
+        let name = crate::stage::raw::RawAttribute {
+            value: Some(Value::Token("glow".to_owned())),
+            ..Default::default()
+        };
+        stage.raw.prims[0]
+            .attributes
+            .insert("inputs:name".to_owned(), name);
+        let (material, _) = read_material(&stage);
+        let expected = Input::Primvar {
+            name: "glow".to_owned(),
+            fallback: Vec4::new(1.0, 2.0, 3.0, 1.0),
+        };
+        assert_eq!(material.emissive_color, expected);
+    }
+
+    #[test]
+    fn other_shaders_are_reduced_by_the_names_of_their_inputs() {
+        let stage = Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:mtlx:surface", "/M/S.outputs:out")
+            .prim("/M/S", "Shader")
+            .token("info:id", "ND_standard_surface_surfaceshader")
+            .value("inputs:base_color", rgb(0.5, 0.5, 1.0))
+            .number("inputs:base", 0.5)
+            .number("inputs:emission", 3.0)
+            .value("inputs:emission_color", rgb(1.0, 0.0, 0.0))
+            .number("inputs:specular_roughness", 0.3)
+            .number("inputs:metalness", 0.2);
+        let (material, warnings) = read_material(&stage);
+        assert_eq!(material.diffuse_color, Input::color(0.25, 0.25, 0.5));
+        assert_eq!(material.emissive_color, Input::color(3.0, 0.0, 0.0));
+        assert_eq!(material.roughness, Input::scalar(0.3));
+        assert_eq!(material.metallic, Input::scalar(0.2));
+        assert_eq!(warnings, ["reduced-material"]);
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_default_with_one_warning() {
+        let bare = Fixture::default().prim("/M", "Material");
+        let unknown = Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:surface", "/M/S.outputs:out")
+            .prim("/M/S", "Shader")
+            .token("info:id", "Mystery");
+        let cycle = Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:surface", "/M.inputs:a")
+            .connect("inputs:a", "/M.inputs:a");
+        for stage in [bare, unknown, cycle] {
+            let (material, warnings) = read_material(&stage);
+            let expected = Material {
+                path: "/M".to_owned(),
+                ..Material::default()
+            };
+            assert_eq!(material, expected);
+            assert_eq!(warnings, ["unsupported-material"]);
+        }
+        let nan = preview().value("inputs:diffuseColor", rgb(f64::NAN, 0.0, 0.0));
+        let (material, warnings) = read_material(&nan);
+        assert_eq!(material.diffuse_color, Material::default().diffuse_color);
+        assert_eq!(warnings, ["unsupported-material-input"]);
+    }
+}

@@ -162,3 +162,87 @@ fn takes_material(type_name: &str) -> bool {
             | "Volume"
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::fixture::Fixture;
+    use super::*;
+    use crate::scene::Input;
+
+    fn stage() -> Fixture {
+        Fixture::default()
+            .prim("/L", "Scope")
+            .prim("/L/unused", "Material")
+            .prim("/L/M", "Material")
+            .connect("outputs:surface", "/L/M/S.outputs:surface")
+            .prim("/L/M/S", "Shader")
+            .token("info:id", "UsdPreviewSurface")
+            .connect("inputs:diffuseColor", "/L/M/R.outputs:result")
+            .prim("/L/M/R", "Shader")
+            .token("info:id", "UsdPrimvarReader_float3")
+            .token("inputs:varname", "tint")
+            .prim("/W", "Xform")
+            .rel("material:binding", &["/L/M"])
+            .prim("/W/a", "Mesh")
+            .prim("/W/b", "Sphere")
+            .prim("/W/light", "SphereLight")
+            .prim("/W/c", "Mesh")
+            .rel("material:binding", &["/L/gone"])
+    }
+
+    fn resolved(settings: &ReadSettings) -> (Look, usize) {
+        let stage = stage();
+        let mut occurrences = stage.occurrences();
+        let light = occurrences
+            .iter_mut()
+            .find(|o| o.path == "/W/light")
+            .unwrap();
+        light.purpose = Purpose::Guide;
+        let diagnostics = Diagnostics::default();
+        let look = resolve(
+            &stage.raw,
+            &occurrences,
+            DVec3::ZERO,
+            settings,
+            &diagnostics,
+        );
+        (look, diagnostics.warnings().len())
+    }
+
+    #[test]
+    fn only_bound_materials_are_read_and_once() {
+        let (look, warnings) = resolved(&ReadSettings::default());
+        assert_eq!(look.materials.len(), 1);
+        assert_eq!(look.materials[0].path, "/L/M");
+        assert!(
+            matches!(&look.materials[0].diffuse_color, Input::Primvar { name, .. } if name == "tint")
+        );
+        let bound = [6, 7].map(|gprim| look.binding[gprim]);
+        assert_eq!(bound, [Some(MaterialId(0)); 2]);
+        assert_eq!(look.binding.iter().flatten().count(), 2);
+        assert_eq!(look.primvars, ["displayColor", "displayOpacity", "tint"]);
+        assert_eq!(warnings, 1, "the missing material");
+    }
+
+    #[test]
+    fn lights_of_other_purposes_and_unwanted_looks_are_left_out() {
+        assert!(resolved(&ReadSettings::default()).0.lights.is_empty());
+        let purposes = vec![Purpose::Guide];
+        let with_guides = ReadSettings {
+            purposes,
+            ..ReadSettings::default()
+        };
+        assert_eq!(resolved(&with_guides).0.lights.len(), 1);
+        let bare = ReadSettings {
+            materials: false,
+            lights: false,
+            ..ReadSettings::default()
+        };
+        let (look, warnings) = resolved(&bare);
+        assert!(look.materials.is_empty() && look.lights.is_empty() && look.primvars.is_empty());
+        assert_eq!(
+            (look.binding.len(), warnings),
+            (stage().occurrences().len(), 0)
+        );
+    }
+}

@@ -173,3 +173,75 @@ fn var(prim: &RawPrim) -> RenderVar {
         data_type: token("dataType", "color3f"),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::fixture::Fixture;
+    use super::*;
+
+    #[test]
+    fn products_inherit_from_settings_what_they_do_not_author() {
+        let mut stage = Fixture::default()
+            .prim("/Render", "Scope")
+            .prim("/Render/other", "RenderSettings")
+            .value("resolution", Value::Vec2(DVec2::new(-1.0, 5.0)))
+            .prim("/Render/main", "RenderSettings")
+            .rel("camera", &["/cam"])
+            .rel("products", &["/Render/p", "/Render/q", "/Render/gone"])
+            .value("resolution", Value::Vec2(DVec2::new(640.0, 480.0)))
+            .number("pixelAspectRatio", 2.0)
+            .prim("/Render/p", "RenderProduct")
+            .rel("orderedVars", &["/Render/N", "/Render/ao"])
+            .prim("/Render/q", "RenderProduct")
+            .rel("camera", &["/cam2"])
+            .token("productName", "beauty.exr")
+            .value("resolution", Value::Vec2(DVec2::new(32.0, 16.0)))
+            .prim("/Render/N", "RenderVar")
+            .token("sourceName", "Neye")
+            .prim("/Render/ao", "RenderVar")
+            .token("driver:parameters:aov:name", "occlusion");
+        stage.raw.meta.render_settings_prim_path = Some("/Render/main".to_owned());
+        let occurrences = stage.occurrences();
+        let diagnostics = Diagnostics::default();
+        let all = read(
+            &stage.raw,
+            &Paths::new(&stage.raw, &occurrences),
+            &diagnostics,
+        );
+
+        assert_eq!(
+            all.iter().map(|s| s.path.as_str()).collect::<Vec<_>>(),
+            ["/Render/main", "/Render/other"]
+        );
+        assert_eq!(all[1].resolution, (2048, 1080));
+        assert_eq!(all[0].material_binding_purposes, ["full", ""]);
+        let [p, q] = all[0].products.as_slice() else {
+            panic!("two products")
+        };
+        assert_eq!(
+            (p.name.as_str(), p.camera.as_deref(), p.resolution),
+            ("p.exr", Some("/cam"), (640, 480))
+        );
+        assert_eq!(
+            (q.name.as_str(), q.camera.as_deref(), q.resolution),
+            ("beauty.exr", Some("/cam2"), (32, 16))
+        );
+        assert_eq!(q.pixel_aspect_ratio, 2.0);
+        let vars: Vec<_> = p
+            .vars
+            .iter()
+            .map(|v| {
+                (
+                    v.name.as_str(),
+                    v.source_name.as_str(),
+                    v.data_type.as_str(),
+                )
+            })
+            .collect();
+        assert_eq!(
+            vars,
+            [("N", "Neye", "color3f"), ("occlusion", "", "color3f")]
+        );
+        assert_eq!(diagnostics.warnings().len(), 2);
+    }
+}
