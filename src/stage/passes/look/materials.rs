@@ -1,0 +1,392 @@
+//! Material prims → [`Material`]: finds the surface shader and reads its inputs.
+
+use super::network::{Source, shader_id, source};
+use super::paths::Paths;
+use super::reduce;
+use super::textures::{primvar_read, texture_read};
+use super::values::color;
+use crate::diagnostics::Diagnostics;
+use crate::scene::{Input, Material};
+use glam::{Vec3, Vec4};
+
+/// What an input is, which decides how a single number or a color is understood.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// One number in x.
+    Scalar,
+    /// Three in xyz.
+    Color,
+}
+
+/// Reads the inputs of shaders.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reader<'a> {
+    /// The stage.
+    pub(super) paths: &'a Paths<'a>,
+    /// Where flaws go.
+    pub(super) diagnostics: &'a Diagnostics,
+    /// Stage path of the material being read.
+    pub(super) material: &'a str,
+}
+
+/// Read the Material prim at index `prim`, named `path` on the stage.
+pub(super) fn read(
+    paths: &Paths<'_>,
+    prim: usize,
+    path: &str,
+    diagnostics: &Diagnostics,
+) -> Material {
+    let reader = Reader {
+        paths,
+        diagnostics,
+        material: path,
+    };
+    let mut material = reader.surface(prim);
+    material.path = path.to_owned();
+    material
+}
+
+/// Render contexts whose surface is understood best, then the universal one, then whatever there is.
+fn surface_outputs<'a>(paths: &Paths<'a>, prim: usize) -> Vec<&'a str> {
+    let rank = |name: &str| match name {
+        "outputs:glslfx:surface" => 0,
+        "outputs:surface" => 1,
+        "outputs:mtlx:surface" => 2,
+        _ => 3,
+    };
+    let names = paths.prim(prim).attributes.keys().map(String::as_str);
+    let is_surface = |name: &&str| {
+        *name == "outputs:surface" || (name.starts_with("outputs:") && name.ends_with(":surface"))
+    };
+    let mut outputs: Vec<&str> = names.filter(is_surface).collect();
+    outputs.sort_by_key(|name| (rank(name), *name));
+    outputs
+}
+
+/// True for the shader every renderer knows, also under its MaterialX name.
+fn is_preview_surface(id: &str) -> bool {
+    id == "UsdPreviewSurface" || id == "ND_UsdPreviewSurface_surfaceshader"
+}
+
+impl Reader<'_> {
+    fn surface(&self, prim: usize) -> Material {
+        let shaders: Vec<usize> = surface_outputs(self.paths, prim)
+            .into_iter()
+            .filter_map(|output| match source(self.paths, prim, output) {
+                Source::Node { prim, .. } => Some(prim),
+                _ => None,
+            })
+            .collect();
+        let id = |shader: usize| shader_id(self.paths.prim(shader));
+        if let Some(&shader) = shaders
+            .iter()
+            .find(|&&shader| is_preview_surface(id(shader)))
+        {
+            return self.preview_surface(shader, prim);
+        }
+        if let Some(reduced) = shaders
+            .iter()
+            .find_map(|&shader| reduce::surface(self, shader))
+        {
+            return reduced;
+        }
+        let why = match shaders.first() {
+            Some(&shader) => format!("surface shader `{}` is not known", id(shader)),
+            None => "it has no surface shader".to_owned(),
+        };
+        let consequence = "it is shaded as 0.18 gray without emission";
+        self.diagnostics.warn(
+            "unsupported-material",
+            self.material,
+            format!("{why}: {consequence}"),
+        );
+        Material::default()
+    }
+
+    fn preview_surface(&self, shader: usize, material: usize) -> Material {
+        let default = Material::default();
+        let scalar = |name: &str, default: Input| self.input(shader, name, Kind::Scalar, default);
+        let color = |name: &str, default: Input| self.input(shader, name, Kind::Color, default);
+        let displaces = source(self.paths, material, "outputs:displacement") != Source::Nothing;
+        Material {
+            path: String::new(),
+            diffuse_color: color("diffuseColor", default.diffuse_color),
+            emissive_color: color("emissiveColor", default.emissive_color),
+            metallic: scalar("metallic", default.metallic),
+            roughness: scalar("roughness", default.roughness),
+            opacity: scalar("opacity", default.opacity),
+            opacity_threshold: scalar("opacityThreshold", default.opacity_threshold),
+            specular_workflow: matches!(
+                scalar("useSpecularWorkflow", Input::scalar(0.0)),
+                Input::Constant(value) if value.x != 0.0
+            ),
+            specular_color: color("specularColor", default.specular_color),
+            ior: scalar("ior", default.ior),
+            clearcoat: scalar("clearcoat", default.clearcoat),
+            clearcoat_roughness: scalar("clearcoatRoughness", default.clearcoat_roughness),
+            displacement: match displaces {
+                true => scalar("displacement", default.displacement),
+                false => default.displacement,
+            },
+        }
+    }
+
+    /// Input `name` of shader `prim`, `default` where it is not given or cannot be understood (then with a warning).
+    pub(super) fn input(&self, prim: usize, name: &str, kind: Kind, default: Input) -> Input {
+        self.authored_input(prim, name, kind).unwrap_or(default)
+    }
+
+    /// Input `name` of shader `prim`, if it is given and can be understood.
+    pub(super) fn authored_input(&self, prim: usize, name: &str, kind: Kind) -> Option<Input> {
+        match source(self.paths, prim, &format!("inputs:{name}")) {
+            Source::Nothing => None,
+            Source::Value(value, _) => {
+                let found = color(value).filter(|value| value.is_finite());
+                if found.is_none() {
+                    self.warn_of_input(
+                        prim,
+                        name,
+                        "has a value that is not a finite number or color",
+                    );
+                }
+                found.map(|value| constant(value, kind))
+            }
+            Source::Node { prim: node, output } => {
+                let found = self.node(node, output);
+                if found.is_none() {
+                    let id = shader_id(self.paths.prim(node));
+                    self.warn_of_input(
+                        prim,
+                        name,
+                        &format!("comes from a node that is not understood (`{id}`)"),
+                    );
+                }
+                found
+            }
+        }
+    }
+
+    fn node(&self, node: usize, output: &str) -> Option<Input> {
+        if let Some((name, fallback)) = primvar_read(self.paths, node) {
+            return Some(Input::Primvar { name, fallback });
+        }
+        let texture = texture_read(self.paths, node, output);
+        texture.map(|read| Input::Texture(Box::new(read)))
+    }
+
+    fn warn_of_input(&self, prim: usize, name: &str, flaw: &str) {
+        let shader = &self.paths.prim(prim).path;
+        self.diagnostics.warn(
+            "unsupported-material-input",
+            self.material,
+            format!("input `{name}` of {shader} {flaw}: its default is used"),
+        );
+    }
+}
+
+fn constant(value: Vec4, kind: Kind) -> Input {
+    match kind {
+        Kind::Scalar => Input::scalar(value.x),
+        Kind::Color => Input::Constant(Vec3::from(value.truncate()).extend(1.0)),
+    }
+}
+
+/// Names of the primvars that `material` reads.
+pub(super) fn primvars(material: &Material) -> impl Iterator<Item = &str> {
+    material
+        .inputs()
+        .into_iter()
+        .filter_map(|(_, input)| match input {
+            Input::Constant(_) => None,
+            Input::Primvar { name, .. } => Some(name.as_str()),
+            Input::Texture(read) => Some(read.uv.primvar.as_str()),
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::fixture::Fixture;
+    use super::*;
+    use crate::scene::{ColorSpace, Wrap};
+    use crate::stage::raw::Value;
+    use glam::{DVec3, Vec2};
+
+    fn read_material(stage: &Fixture) -> (Material, Vec<String>) {
+        let occurrences = stage.occurrences();
+        let paths = Paths::new(&stage.raw, &occurrences);
+        let diagnostics = Diagnostics::default();
+        let prim = stage.raw.find("/M").unwrap();
+        let material = read(&paths, prim, "/M", &diagnostics);
+        let kinds = diagnostics.warnings().into_iter().map(|w| w.kind).collect();
+        (material, kinds)
+    }
+
+    fn preview() -> Fixture {
+        Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:surface", "/M/S.outputs:surface")
+            .prim("/M/S", "Shader")
+            .token("info:id", "UsdPreviewSurface")
+    }
+
+    fn asset(path: &str) -> Value {
+        Value::Asset {
+            authored: path.to_owned(),
+            resolved: path.to_owned(),
+        }
+    }
+
+    fn rgb(r: f64, g: f64, b: f64) -> Value {
+        Value::Vec3(DVec3::new(r, g, b))
+    }
+
+    #[test]
+    fn constants_and_defaults_are_those_of_the_specification() {
+        let stage = preview()
+            .value("inputs:diffuseColor", rgb(0.5, 0.25, 0.125))
+            .number("inputs:metallic", 0.75)
+            .value("inputs:useSpecularWorkflow", Value::Int(1));
+        let (material, warnings) = read_material(&stage);
+        let expected = Material {
+            path: "/M".to_owned(),
+            diffuse_color: Input::color(0.5, 0.25, 0.125),
+            metallic: Input::scalar(0.75),
+            specular_workflow: true,
+            ..Material::default()
+        };
+        assert_eq!(material, expected);
+        assert!(warnings.is_empty());
+    }
+
+    #[test]
+    fn values_pass_through_interface_inputs_and_node_graphs() {
+        let stage = Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:surface", "/M/G.outputs:out")
+            .value("inputs:tint", rgb(0.1, 0.2, 0.3))
+            .prim("/M/G", "NodeGraph")
+            .connect("outputs:out", "/M/G/S.outputs:surface")
+            .connect("inputs:color", "/M.inputs:tint")
+            .prim("/M/G/S", "Shader")
+            .token("info:id", "UsdPreviewSurface")
+            .connect("inputs:diffuseColor", "/M/G.inputs:color");
+        let (material, warnings) = read_material(&stage);
+        assert_eq!(material.diffuse_color, Input::color(0.1, 0.2, 0.3));
+        assert!(warnings.is_empty());
+    }
+
+    #[test]
+    fn textures_carry_their_file_channel_wrap_and_transformed_coordinates() {
+        let stage = preview()
+            .connect("inputs:diffuseColor", "/M/T.outputs:rgb")
+            .connect("inputs:opacity", "/M/T.outputs:a")
+            .prim("/M/T", "Shader")
+            .token("info:id", "UsdUVTexture")
+            .value("inputs:file", asset("/tex/a.png"))
+            .token("inputs:wrapS", "repeat")
+            .token("inputs:wrapT", "mirror")
+            .token("inputs:sourceColorSpace", "sRGB")
+            .connect("inputs:st", "/M/X.outputs:result")
+            .prim("/M/X", "Shader")
+            .token("info:id", "UsdTransform2d")
+            .value("inputs:scale", Value::Vec2(glam::DVec2::new(2.0, 4.0)))
+            .number("inputs:rotation", 90.0)
+            .value(
+                "inputs:translation",
+                Value::Vec2(glam::DVec2::new(10.0, 20.0)),
+            )
+            .connect("inputs:in", "/M/R.outputs:result")
+            .prim("/M/R", "Shader")
+            .token("info:id", "UsdPrimvarReader_float2")
+            .token("inputs:varname", "map1");
+        let (material, warnings) = read_material(&stage);
+        assert!(warnings.is_empty(), "{warnings:?}");
+        let Input::Texture(color) = &material.diffuse_color else {
+            panic!("no texture")
+        };
+        assert_eq!(color.file.to_str(), Some("/tex/a.png"));
+        assert_eq!((color.wrap_s, color.wrap_t), (Wrap::Repeat, Wrap::Mirror));
+        assert_eq!((color.channel, color.color_space), (None, ColorSpace::SRgb));
+        assert_eq!(color.uv.primvar, "map1");
+        // (1, 1) scaled is (2, 4), turned a quarter counter-clockwise (-4, 2), moved (6, 22).
+        let moved = color.uv.transform.transform_point2(Vec2::ONE);
+        assert!(moved.distance(Vec2::new(6.0, 22.0)) < 1e-5, "{moved}");
+        let Input::Texture(opacity) = &material.opacity else {
+            panic!("no texture")
+        };
+        assert_eq!(opacity.channel, Some(3));
+        assert_eq!(primvars(&material).collect::<Vec<_>>(), ["map1", "map1"]);
+    }
+
+    #[test]
+    fn primvar_readers_take_names_from_the_interface() {
+        let stage = preview()
+            .connect("inputs:emissiveColor", "/M/R.outputs:result")
+            .prim("/M/R", "Shader")
+            .token("info:id", "UsdPrimvarReader_float3")
+            .connect("inputs:varname", "/M.inputs:name")
+            .value("inputs:fallback", rgb(1.0, 2.0, 3.0));
+        let mut stage = stage;
+        let name = crate::stage::raw::RawAttribute {
+            value: Some(Value::Token("glow".to_owned())),
+            ..Default::default()
+        };
+        stage.raw.prims[0]
+            .attributes
+            .insert("inputs:name".to_owned(), name);
+        let (material, _) = read_material(&stage);
+        let expected = Input::Primvar {
+            name: "glow".to_owned(),
+            fallback: Vec4::new(1.0, 2.0, 3.0, 1.0),
+        };
+        assert_eq!(material.emissive_color, expected);
+    }
+
+    #[test]
+    fn other_shaders_are_reduced_by_the_names_of_their_inputs() {
+        let stage = Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:mtlx:surface", "/M/S.outputs:out")
+            .prim("/M/S", "Shader")
+            .token("info:id", "ND_standard_surface_surfaceshader")
+            .value("inputs:base_color", rgb(0.5, 0.5, 1.0))
+            .number("inputs:base", 0.5)
+            .number("inputs:emission", 3.0)
+            .value("inputs:emission_color", rgb(1.0, 0.0, 0.0))
+            .number("inputs:specular_roughness", 0.3)
+            .number("inputs:metalness", 0.2);
+        let (material, warnings) = read_material(&stage);
+        assert_eq!(material.diffuse_color, Input::color(0.25, 0.25, 0.5));
+        assert_eq!(material.emissive_color, Input::color(3.0, 0.0, 0.0));
+        assert_eq!(material.roughness, Input::scalar(0.3));
+        assert_eq!(material.metallic, Input::scalar(0.2));
+        assert_eq!(warnings, ["reduced-material"]);
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_default_with_one_warning() {
+        let bare = Fixture::default().prim("/M", "Material");
+        let unknown = Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:surface", "/M/S.outputs:out")
+            .prim("/M/S", "Shader")
+            .token("info:id", "Mystery");
+        let cycle = Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:surface", "/M.inputs:a")
+            .connect("inputs:a", "/M.inputs:a");
+        for stage in [bare, unknown, cycle] {
+            let (material, warnings) = read_material(&stage);
+            let expected = Material {
+                path: "/M".to_owned(),
+                ..Material::default()
+            };
+            assert_eq!(material, expected);
+            assert_eq!(warnings, ["unsupported-material"]);
+        }
+        let nan = preview().value("inputs:diffuseColor", rgb(f64::NAN, 0.0, 0.0));
+        let (material, warnings) = read_material(&nan);
+        assert_eq!(material.diffuse_color, Material::default().diffuse_color);
+        assert_eq!(warnings, ["unsupported-material-input"]);
+    }
+}
