@@ -1,0 +1,2 @@
+//! placeholder
+pub(super) fn repaired(_text: &str) -> Result<Option<String>, String> { Ok(None) }
