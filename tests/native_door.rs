@@ -103,6 +103,8 @@ struct Tally {
     prims: usize,
     values: usize,
     facts: usize,
+    /// Stages whose lists of layers are the same.
+    same_layers: usize,
     different: Vec<String>,
 }
 
@@ -137,12 +139,21 @@ impl Tally {
         self.fact(&format!("{name} end"), &json!(ours.meta.end_time_code), &truth["endTimeCode"]);
         let mut layers: Vec<String> = ours.meta.layers.iter().map(|layer| real(layer)).collect();
         layers.sort();
-        self.fact(&format!("{name} layers"), &json!(layers), &truth["layers"]);
+        self.layers(&name, &layers, &keys(&truth["layers"]));
         for (index, prim) in ours.prims.iter().enumerate() {
             if let Some(at) = truth_paths.iter().position(|path| *path == ours_paths[index]) {
                 self.prims += 1;
                 self.prim(&format!("{name} {}", prim.path), ours, prim, &truth_prims[at], &names, case.time.is_some());
             }
+        }
+    }
+
+    /// usd-core also composes what is never seen (undefined prims) and counts the layers met there.
+    fn layers(&mut self, name: &str, ours: &[String], truth: &[String]) {
+        self.facts += 1;
+        self.same_layers += usize::from(ours == truth);
+        for layer in ours.iter().filter(|layer| !truth.contains(layer)) {
+            self.different.push(format!("{name} layers: usd-core does not use {layer}"));
         }
     }
 
@@ -329,8 +340,8 @@ fn compare(python: &Path, cases: &[Case]) -> Tally {
         }
     }
     println!(
-        "{} stages, {} prims, {} values and {} other facts compared; {} different",
-        tally.stages, tally.prims, tally.values, tally.facts, tally.different.len()
+        "{} stages, {} prims, {} values and {} other facts compared; {} different; {} lists of layers the same",
+        tally.stages, tally.prims, tally.values, tally.facts, tally.different.len(), tally.same_layers
     );
     tally
 }

@@ -57,9 +57,9 @@ def encode(value):
         return {"numbers": quaternion(value)}
     if isinstance(value, Gf.Matrix4d):
         return {"numbers": [number(value[r][c]) for r in range(4) for c in range(4)]}
-    if type(value).__name__.startswith("Vec"):
-        return {"numbers": [number(x) for x in value]}
     kind = type(value).__name__
+    if kind.startswith("Vec") and not kind.endswith("Array"):
+        return {"numbers": [number(x) for x in value]}
     if kind in ("TokenArray", "StringArray"):
         return {"texts": list(value)}
     if kind == "AssetArray":

@@ -120,23 +120,13 @@ impl<'a> Traversal<'a> {
             return Ok(Vec::new());
         }
         let handle = self.stage.prim(next.path.clone());
-        let schemas = handle.api_schemas().map_err(|error| sites.fault(&error))?;
         let own_clips = sites.has_prim_field(self.stage, FieldKey::Clips.as_str());
         if own_clips && self.request.time.is_some() {
             self.check_clips(next, &sites)?;
         }
         let clips = next.clips || own_clips;
-        let mut prim = RawPrim {
-            path: next.path.to_string(),
-            type_name: self.prim_text(&sites, FieldKey::TypeName)?.unwrap_or_default(),
-            parent: next.parent,
-            api_schemas: schemas.iter().map(ToString::to_string).collect(),
-            kind: self.prim_text(&sites, FieldKey::Kind)?,
-            ..RawPrim::default()
-        };
-        self.properties.read(&next.path, &sites, clips, &mut prim)?;
         let index = self.prims.len();
-        self.prims.push(prim);
+        self.prims.push(self.prim(next, &sites, clips)?);
         let prototype = handle.prototype().map_err(|error| sites.fault(&error))?;
         if let Some(prototype) = prototype.filter(|_| !next.root) {
             let number = self.number(prototype);
@@ -152,6 +142,25 @@ impl<'a> Traversal<'a> {
             root: false,
         };
         Ok(children.map(child).collect())
+    }
+
+    /// The prim itself. A prototype's root is bare: what it holds belongs to the instances, which have it too.
+    fn prim(&self, next: &Pending, sites: &Sites, clips: bool) -> Result<RawPrim, Fault> {
+        let mut prim = RawPrim {
+            path: next.path.to_string(),
+            parent: next.parent,
+            ..RawPrim::default()
+        };
+        if next.root {
+            return Ok(prim);
+        }
+        let schemas = self.stage.prim(next.path.clone()).api_schemas();
+        let schemas = schemas.map_err(|error| sites.fault(&error))?;
+        prim.api_schemas = schemas.iter().map(ToString::to_string).collect();
+        prim.type_name = self.prim_text(sites, FieldKey::TypeName)?.unwrap_or_default();
+        prim.kind = self.prim_text(sites, FieldKey::Kind)?;
+        self.properties.read(&next.path, sites, clips, &mut prim)?;
+        Ok(prim)
     }
 
     /// Active, defined and not abstract. (Payloads are all loaded.) Ancestors have been asked before.
