@@ -15,6 +15,8 @@ use surflux::stage::{Error, Source};
 /// Two sums of the same numbers in another order, or one value interpolated in another width, may differ by this much
 /// of the sum of their magnitudes: a few roundings of single precision.
 const INTERPOLATED: f64 = 4e-7;
+/// The same in half precision.
+const HALF: f64 = 1e-3;
 /// Values that were only copied: sums in double precision.
 const COPIED: f64 = 1e-12;
 
@@ -186,7 +188,11 @@ impl Tally {
         self.fact(&format!("{name} connections"), &json!(connections), &truth["connections"]);
         self.fact(&format!("{name} varying"), &json!(ours.varying), &truth["varying"]);
         self.values += 1;
-        let tolerance = if timed { INTERPOLATED } else { COPIED };
+        let tolerance = match timed {
+            false => COPIED,
+            true if ours.type_name.contains('h') => HALF,
+            true => INTERPOLATED,
+        };
         if !same_value(ours.value.as_ref(), &truth["value"], tolerance) {
             let ours = ours.value.as_ref().map(encode);
             self.different.push(format!("{name} value: {ours:?}, usd-core {}", truth["value"]));
@@ -339,6 +345,9 @@ fn compare(python: &Path, cases: &[Case]) -> Tally {
             (Err(error), None) => tally.different.push(format!("{}: we refuse: {error}", case.path.display())),
         }
     }
+    for line in &tally.different {
+        println!("  {line}");
+    }
     println!(
         "{} stages, {} prims, {} values and {} other facts compared; {} different; {} lists of layers the same",
         tally.stages, tally.prims, tally.values, tally.facts, tally.different.len(), tally.same_layers
@@ -375,4 +384,607 @@ fn real_stages_read_like_usd_core_reads_them() {
         .collect();
     let tally = compare(&python, &cases);
     assert!(tally.different.is_empty(), "{}", tally.different.join("\n"));
+}
+
+/// A small stage: its files (the first is the root) and what it is about.
+struct Feature {
+    name: &'static str,
+    files: &'static [(&'static str, &'static str)],
+}
+
+/// One composition feature each.
+const FEATURES: &[Feature] = &[
+    Feature {
+        name: "references, with list ops, offsets and paths mapped",
+        files: &[
+            ("root.usda", r#"#usda 1.0
+(defaultPrim = "World"
+upAxis = "Z"
+metersPerUnit = 0.01
+startTimeCode = 1
+endTimeCode = 24
+timeCodesPerSecond = 24)
+def Xform "World" {
+    def "A" (prepend references = @./asset.usda@) {
+double speed = 3
+}
+    def "B" (references = [@./asset.usda@</Other>, @./asset.usda@ (offset = 10; scale = 2)]) {}
+    def "C" (delete references = @./asset.usda@
+prepend references = </World/A>) {
+over "Geo" {
+double radius = 7
+}
+}
+}
+"#),
+            ("asset.usda", r#"#usda 1.0
+(defaultPrim = "Asset"
+timeCodesPerSecond = 48)
+def Xform "Asset" (kind = "component"
+prepend apiSchemas = ["MaterialBindingAPI"]) {
+    double speed = 1
+    double x.timeSamples = { 0: 0, 10: 10, 20: 40
+}
+    rel material:binding = </Asset/Looks/M> (bindMaterialAs = "strongerThanDescendants")
+    def Sphere "Geo" {
+double radius = 2
+double radius.timeSamples = { 4: 1, 8: 3
+}
+rel to = [</Asset/Looks>, </Asset.speed>]
+}
+    def Scope "Looks" {
+def Material "M" {
+token outputs:surface.connect = </Asset/Looks/M/S.outputs:surface>
+        def Shader "S" {
+uniform token info:id = "UsdPreviewSurface"
+token outputs:surface
+}
+}
+}
+}
+def Xform "Other" {
+double speed = 2
+double y = 5
+}
+"#),
+        ],
+    },
+    Feature {
+        name: "sublayers with offsets: a default in a strong layer hides samples in a weak one",
+        files: &[
+            ("root.usda", r#"#usda 1.0
+(subLayers = [@./strong.usda@, @./weak.usda@ (offset = 5; scale = 0.5)])
+over "P" {
+double b.timeSamples = { 0: 1, 10: 2
+}
+double d = None
+}
+"#),
+            ("strong.usda", r#"#usda 1.0
+over "P" {
+double a = 100
+double e = 4
+double e.timeSamples = { 0: 8
+}
+}
+"#),
+            ("weak.usda", r#"#usda 1.0
+def Xform "P" {
+double a.timeSamples = { 0: 1, 20: 2
+}
+double b = 7
+double c.timeSamples = { 0: 0, 20: 20
+}
+double d = 9
+    float2 blocked.timeSamples = { 0: (1, 1), 10: None, 20: (3, 3)
+}
+int held.timeSamples = { 0: 1, 20: 5
+}
+    double e = 5
+timecode when = 3
+}
+"#),
+        ],
+    },
+    Feature {
+        name: "variants, nested and without a selection",
+        files: &[("root.usda", r#"#usda 1.0
+def Xform "P" (variants = {
+string shape = "ball"
+string nothing = "missing"
+}
+prepend variantSets = ["shape", "unselected", "nothing"]) {
+    variantSet "shape" = {
+        "ball" (prepend variantSets = "size"
+variants = {
+string size = "big"
+}) {
+def Sphere "Geo" {}
+variantSet "size" = { "big" {
+over "Geo" {
+double radius = 9
+}
+}
+"small" { }
+}
+}
+        "box" {
+def Cube "Geo" {}
+}
+    }
+    variantSet "unselected" = { "a" {
+def Cone "A" {}
+}
+"b" {
+def Cone "B" {}
+}
+}
+    variantSet "nothing" = { "c" {
+def Cone "C" {}
+}
+}
+}
+"#)],
+    },
+    Feature {
+        name: "inherits and specializes",
+        files: &[("root.usda", r#"#usda 1.0
+class "_Class" {
+double a = 1
+double b = 1
+def Sphere "In" {
+double radius = 4
+}
+}
+class Xform "_Base" {
+double b = 2
+double c = 2
+rel r = </_Base/X>
+def "X" {}
+}
+def Xform "P" (inherits = </_Class>
+specializes = </_Base>) {
+over "In" {
+token visibility = "invisible"
+}
+}
+def Xform "Q" (specializes = </_Base>
+references = </R>) { }
+def "R" {
+double c = 3
+double b = 3
+}
+"#)],
+    },
+    Feature {
+        name: "payloads, inactive, over, class, untyped",
+        files: &[
+            ("root.usda", r#"#usda 1.0
+def "P" (payload = @./p.usda@</Pay>) {
+over "Off" (active = false) {}
+over "New" {
+def Sphere "Lost" {}
+}
+}
+over "Only" {
+def Sphere "Unseen" {}
+}
+class "Abstract" {
+def Sphere "Unseen" {}
+}
+def "Many" (payload = [@./p.usda@</Pay>, @./p.usda@</Pay2>]) {}
+"#),
+            ("p.usda", r#"#usda 1.0
+def Xform "Pay" {
+def Sphere "Off" {}
+def Sphere "On" (hidden = true) {}
+}
+def "Pay2" {
+def Cube "Second" {}
+}
+"#),
+        ],
+    },
+    Feature {
+        name: "native instances: shared, nested, different variants, overridden at the root, targets inside and outside",
+        files: &[
+            ("root.usda", r#"#usda 1.0
+def Xform "World" {
+    def "I1" (instanceable = true
+references = @./asset.usda@) {
+double3 xformOp:translate = (1, 0, 0)
+uniform token[] xformOpOrder = ["xformOp:translate"]
+rel out = </World/Free>
+}
+    def "I2" (instanceable = true
+references = @./asset.usda@) {
+over "Geo" {
+double radius = 99
+}
+def Sphere "Ignored" {}
+}
+    def "I3" (instanceable = true
+references = @./asset.usda@
+variants = {
+string v = "two"
+}) { }
+    def "Free" (instanceable = false
+references = @./asset.usda@) {
+over "Geo" {
+double radius = 5
+}
+}
+    def "NoArc" (instanceable = true) {
+def Sphere "Seen" {}
+}
+    rel into = [</World/I1/Geo>, </World/I1>]
+}
+"#),
+            ("asset.usda", r#"#usda 1.0
+(defaultPrim = "Asset")
+def Xform "Asset" (kind = "component"
+variants = {
+string v = "one"
+}
+prepend variantSets = "v") {
+    double inherited = 1
+    def Sphere "Geo" {
+double radius = 1
+rel material:binding = </Asset/Looks/M>
+rel self = </Asset>
+}
+    def Scope "Looks" {
+def Material "M" {
+token outputs:surface.connect = </Asset/Looks/M/S.outputs:surface>
+def Shader "S" {
+token outputs:surface
+}
+}
+}
+    def "Nested1" (instanceable = true
+references = </Leaf>) {}
+    def "Nested2" (instanceable = true
+references = </Leaf>) {}
+    variantSet "v" = { "one" {
+def Cube "One" {}
+}
+"two" {
+def Cube "Two" {}
+}
+}
+}
+def Xform "Leaf" {
+def Cone "Tip" {
+rel up = </Leaf>
+}
+}
+"#),
+        ],
+    },
+    Feature {
+        name: "every kind of value",
+        files: &[("root.usda", r#"#usda 1.0
+def "P" {
+    bool b = true
+bool[] bs = [true, false]
+uchar uc = 200
+uchar[] ucs = [1, 255]
+int i = -3
+int[] is = [1, -2, 3]
+    uint u = 4000000000
+int64 l = -9007199254740993
+int64[] ls = [1, -2]
+uint64 ul = 7
+    half h = 0.1
+half[] hs = [0.1, 0.2]
+float f = 0.1
+float[] fs = [0.1, 2]
+double d = 0.1
+double[] ds = [0.1, 1e300]
+    string s = "say \"hi\""
+string[] ss = ["a", 'b']
+token t = "tok"
+token[] ts = ["x", "y"]
+timecode tc = 4
+    float2 f2 = (1, 2)
+double2[] d2s = [(0.1, 2)]
+half2 h2 = (0.1, 0.2)
+int2 i2 = (3, 4)
+texCoord2f[] st = [(0, 1), (2, 3)]
+    float3 f3 = (1, 2, 3)
+point3f[] p = [(1, 2, 3), (4, 5, 6)]
+normal3h[] n = [(0.1, 0.2, 0.3)]
+color3f c = (0.1, 0.2, 0.3)
+vector3d v = (1, 2, 3)
+int3 i3 = (1, 2, 3)
+    float4 f4 = (1, 2, 3, 4)
+color4f[] c4 = [(0.1, 0.2, 0.3, 0.4)]
+double4 d4 = (1, 2, 3, 4)
+half4[] h4 = [(1, 2, 3, 0.1)]
+int4[] i4 = [(1, 2, 3, 4)]
+    quatf q = (1, 2, 3, 4)
+quath[] qh = [(1, 0, 0, 0.1)]
+quatd qd = (0.5, 0.5, 0.5, 0.5)
+    matrix4d m = ((1, 2, 3, 4), (5, 6, 7, 8), (9, 10, 11, 12), (13, 14, 15, 16))
+matrix4d[] ms = [((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (5, 6, 7, 1))]
+    asset a = @./root.usda@
+asset missing = @./nowhere.png@
+asset[] as = [@a.png@, @b.png@]
+float[] empty = []
+float declared
+    float nan = nan
+float[] infs = [inf, -inf]
+opaque o
+double e = -1.5e-3
+    float[] primvars:x = [1, 2, 3] (interpolation = "vertex"
+elementSize = 3)
+color3f[] primvars:c = [(1, 1, 1)] (colorSpace = "lin_rec709")
+    int[] primvars:x:indices = [0]
+}
+"#)],
+    },
+    Feature {
+        name: "interpolation of every kind",
+        files: &[("root.usda", r#"#usda 1.0
+def "P" {
+    half h.timeSamples = { 0: 0.1, 10: 7.3
+}
+float f.timeSamples = { 0: 0.1, 10: 7.3
+}
+double d.timeSamples = { 0: 0.1, 10: 7.3
+}
+    float3 v.timeSamples = { 0: (0, 1, 2), 10: (3, 5, 9)
+}
+point3f[] p.timeSamples = { 0: [(0, 1, 2)], 10: [(3, 5, 9)]
+}
+    quatf q.timeSamples = { 0: (1, 0, 0, 0), 10: (0, 1, 0, 0)
+}
+quath[] qs.timeSamples = { 0: [(1, 0, 0, 0)], 10: [(-0.6, 0.8, 0, 0)]
+}
+    quatd same.timeSamples = { 0: (1, 0, 0, 0), 10: (1, 0, 0, 0)
+}
+    matrix4d m.timeSamples = { 0: ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)), 10: ((2, 0, 0, 0), (0, 2, 0, 0), (0, 0, 2, 0), (1, 2, 3, 1))
+}
+    float[] grows.timeSamples = { 0: [1], 10: [2, 3]
+}
+int i.timeSamples = { 0: 1, 10: 9
+}
+token t.timeSamples = { 0: "a", 10: "b"
+}
+bool b.timeSamples = { 0: 0, 10: 1
+}
+    int2 held.timeSamples = { 0: (0, 0), 10: (5, 5)
+}
+double one.timeSamples = { 3: 4
+}
+double none.timeSamples = {}
+asset a.timeSamples = { 0: @./root.usda@, 10: @./x.usda@
+}
+    half3[] hv.timeSamples = { 0: [(0.1, 0.2, 0.3)], 10: [(1, 2, 3)]
+}
+double block.timeSamples = { 0: 1, 2: None, 8: 5
+}
+double tail.timeSamples = { 0: 1, 20: None
+}
+}
+"#)],
+    },
+    Feature {
+        name: "list ops of relationships, connections and API schemas across layers",
+        files: &[
+            ("root.usda", r#"#usda 1.0
+(subLayers = [@./weak.usda@])
+def "P" (prepend apiSchemas = ["A1"] ) {
+prepend rel r = </X>
+append float in.connect = </Y.out>
+delete rel gone = </B>
+rel empty = None
+}
+"#),
+            ("weak.usda", r#"#usda 1.0
+def "P" (append apiSchemas = ["A2", "A1"]) {
+rel r = [</A>, </X>]
+float in.connect = [</A.out>]
+rel gone = [</A>, </B>]
+rel empty = </A>
+float in = 3
+rel declared
+}
+def "X" {}
+"#),
+        ],
+    },
+    Feature {
+        name: "reordering, relocates, names",
+        files: &[("root.usda", r#"#usda 1.0
+reorder rootPrims = ["B", "A"]
+def "A" {
+reorder nameChildren = ["y", "x"]
+def "x" {}
+def "y" {}
+reorder properties = ["q", "p"]
+int p = 1
+int q = 2
+}
+def "B" {
+def "_under_score9" {
+int a:b:c = 1
+}
+}
+def "Élan" {}
+"#)],
+    },
+    Feature {
+        name: "relocates",
+        files: &[
+            ("root.usda", r#"#usda 1.0
+(relocates = { </W/A/x>: </W/moved>
+})
+def "W" {
+def "A" (references = @./a.usda@</A>) {}
+}
+"#),
+            ("a.usda", r#"#usda 1.0
+def "A" {
+def Sphere "x" {
+double radius = 3
+rel t = </A/x>
+}
+rel t = </A/x>
+}
+"#),
+        ],
+    },
+    Feature {
+        name: "missing layers and paths are dropped",
+        files: &[
+            ("root.usda", r#"#usda 1.0
+(subLayers = [@./gone.usda@])
+def "P" (references = [@./gone.usda@, @./a.usda@</Nothing>, @./a.usda@, </Nowhere>]) {
+int kept = 1
+}
+def "Q" (payload = @./gone.mtlx@) { }
+"#),
+            ("a.usda", r#"#usda 1.0
+def "A" {}
+"#),
+        ],
+    },
+    Feature {
+        name: "cycles are cut",
+        files: &[
+            ("root.usda", r#"#usda 1.0
+(subLayers = [@./root.usda@])
+def "P" (references = @./b.usda@</B>) {
+int kept = 1
+}
+def "Self" (references = </Self>) {
+def "Child" {}
+}
+def "Up" {
+def "Down" (references = </Up>) {
+int n = 1
+}
+}
+def "I" (inherits = </J>) {}
+def "J" (inherits = </I>) {
+int j = 1
+}
+"#),
+            ("b.usda", r#"#usda 1.0
+def "B" (references = @./root.usda@</P>) {
+int b = 2
+}
+"#),
+        ],
+    },
+    Feature {
+        name: "value clips",
+        files: &[
+            ("root.usda", r#"#usda 1.0
+def "M" (clips = {
+dictionary default = {
+asset[] assetPaths = [@./c1.usda@, @./c2.usda@]
+asset manifestAssetPath = @./manifest.usda@
+string primPath = "/M"
+    double2[] active = [(0, 0), (10, 1)]
+double2[] times = [(0, 0), (10, 10), (20, 20)]
+}
+}) {
+double a
+double still = 5
+def "K" {
+double b
+}
+}
+"#),
+            ("manifest.usda", r#"#usda 1.0
+def "M" {
+double a
+def "K" {
+double b
+}
+}
+"#),
+            ("c1.usda", r#"#usda 1.0
+def "M" {
+double a.timeSamples = { 0: 0, 10: 10
+}
+def "K" {
+double b.timeSamples = { 0: 1, 10: 2
+}
+}
+}
+"#),
+            ("c2.usda", r#"#usda 1.0
+def "M" {
+double a.timeSamples = { 10: 100, 20: 200
+}
+def "K" {
+double b.timeSamples = { 10: 3, 20: 4
+}
+}
+}
+"#),
+        ],
+    },
+    Feature {
+        name: "variable expressions",
+        files: &[
+            ("root.usda", r#"#usda 1.0
+(expressionVariables = {
+string WHICH = "a"
+})
+def "P" (references = @`"./${WHICH}.usda"`@</A>) {}
+"#),
+            ("a.usda", r#"#usda 1.0
+def "A" {
+int found = 1
+}
+"#),
+        ],
+    },
+    Feature {
+        name: "text that only Pixar's parser takes",
+        files: &[("root.usda", r#"#usda 1.0
+( metersPerUnit = .01 )
+def "P" ( active = True
+kind = "component" ) {
+    double a = .5
+double b = 5.
+float3 c = (.1, -.2, 0.)
+float[] d = [1., .5, -.25, 2.e1]
+asset e = "./root.usda"
+asset[] f = ["a.png", 'b.png']
+    // a comment
+    double g.timeSamples = { .5: .25, 1.: 2.
+}
+    string h = "keep .5 and 5. and // this"
+asset i = @./keep.5.@  # .5
+}
+def "Off" ( active = False ) {}
+"#)],
+    },
+];
+
+#[test]
+fn composition_features_read_like_usd_core_reads_them() {
+    let Some(python) = python() else {
+        return;
+    };
+    let mut failed = Vec::new();
+    for feature in FEATURES {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        for (name, text) in feature.files {
+            std::fs::write(folder.path().join(name), text).expect("a file");
+        }
+        let root = folder.path().join(feature.files[0].0);
+        let cases = [None, Some(-1.0), Some(3.0), Some(6.5), Some(12.0)].map(|time| Case::new(&root, time));
+        println!("{}:", feature.name);
+        let tally = compare(&python, &cases);
+        if !tally.different.is_empty() {
+            failed.push(format!("{}:\n  {}", feature.name, tally.different.join("\n  ")));
+        }
+    }
+    assert!(failed.is_empty(), "{}", failed.join("\n"));
 }

@@ -62,7 +62,7 @@ def encode(value):
         return {"numbers": [number(x) for x in value]}
     if kind in ("TokenArray", "StringArray"):
         return {"texts": list(value)}
-    if kind == "AssetArray":
+    if kind in ("AssetArray", "AssetPathArray"):
         return {"texts": [asset.path for asset in value]}
     if kind.startswith("Quat"):
         return {"array": array([quaternion(q) for q in value], 4)}

@@ -38,6 +38,39 @@ impl Precision {
     }
 }
 
+/// A time sample of a `type_name` attribute as what it is: the crate's text parser reads scalar samples without
+/// looking at the type (`1` is an integer, `true` and `inf` are tokens). `None` if `sample` already is what it should be.
+pub(super) fn typed(sample: &sdf::Value, type_name: &str) -> Option<sdf::Value> {
+    use sdf::Value as V;
+    match type_name {
+        "half" => real(sample).map(|x| V::Half(half::f16::from_f64(x))),
+        "float" => real(sample).map(|x| V::Float(single(x))),
+        "double" => real(sample).map(V::Double),
+        "timecode" => real(sample).map(|x| V::TimeCode(x.into())),
+        "bool" => match sample {
+            V::Int64(x) => Some(V::Bool(*x != 0)),
+            V::Token(word) => Some(V::Bool(word.as_str().eq_ignore_ascii_case("true"))),
+            _ => None,
+        },
+        "asset" => match sample {
+            V::String(path) => Some(V::AssetPath(sdf::AssetPath::new(path.clone()))),
+            _ => None,
+        },
+        _ => None,
+    }
+}
+
+fn real(sample: &sdf::Value) -> Option<f64> {
+    use sdf::Value as V;
+    match sample {
+        V::Double(x) => Some(*x),
+        #[expect(clippy::cast_precision_loss, reason = "what the text says was meant as a real number")]
+        V::Int64(x) => Some(*x as f64),
+        V::Token(word) => word.as_str().parse().ok(),
+        _ => None,
+    }
+}
+
 /// `from` in our kinds; `None` for a block, and for kinds no scene needs (dictionaries, matrix2d, matrix3d …).
 /// `resolve` finds the file of an asset path.
 pub(super) fn value(from: &sdf::Value, resolve: &dyn Fn(&str) -> String) -> Option<Value> {

@@ -11,22 +11,46 @@ use openusd::sdf;
 /// Closer to parallel than this, quaternions are interpolated linearly: there sin θ loses its digits. USD's own bound.
 const NEARLY_PARALLEL: f64 = 1e-5;
 
-/// The value of `samples` (ascending times) at `time`, in the samples' own time. `None` if the sample that holds is a
-/// block. `resolve` finds the file of an asset path.
-pub(super) fn at(samples: &sdf::TimeSampleMap, time: f64, resolve: &dyn Fn(&str) -> String) -> Option<Value> {
-    let after = samples.partition_point(|(sample, _)| *sample <= time);
-    let (before_time, before) = samples.get(after.saturating_sub(1))?;
-    let low = convert::value(before, resolve)?;
-    let interpolated = after > 0 && *before_time < time;
-    match (samples.get(after), Precision::of(before)) {
-        (Some((after_time, next)), Some(precision)) if interpolated => {
-            let alpha = (time - before_time) / (after_time - before_time);
-            match convert::value(next, resolve) {
-                Some(high) if Precision::of(next) == Some(precision) => Some(mix(low, &high, alpha, precision)),
-                _ => Some(low),
-            }
+/// The samples of one attribute.
+pub(super) struct Samples<'a> {
+    /// Times ascend, unless a text layer lists them in another order.
+    pub(super) samples: &'a sdf::TimeSampleMap,
+    /// USD type name of the attribute.
+    pub(super) type_name: &'a str,
+    /// Finds the file of an asset path.
+    pub(super) resolve: &'a dyn Fn(&str) -> String,
+}
+
+impl Samples<'_> {
+    /// The value at `time`, in the samples' own time. `None` if the sample that holds is a block.
+    pub(super) fn at(&self, time: f64) -> Option<Value> {
+        if self.samples.is_sorted_by(|(a, _), (b, _)| a <= b) {
+            return self.between(self.samples, time);
         }
-        _ => Some(low),
+        let mut sorted = self.samples.clone();
+        sorted.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        self.between(&sorted, time)
+    }
+
+    fn between(&self, samples: &sdf::TimeSampleMap, time: f64) -> Option<Value> {
+        let after = samples.partition_point(|(sample, _)| *sample <= time);
+        let (before_time, before) = samples.get(after.saturating_sub(1))?;
+        let (low, precision) = self.read(before)?;
+        let next = samples.get(after).filter(|_| after > 0 && *before_time < time);
+        let (Some((after_time, next)), Some(precision)) = (next, precision) else {
+            return Some(low);
+        };
+        let alpha = (time - before_time) / (after_time - before_time);
+        match self.read(next) {
+            Some((high, same)) if same == Some(precision) => Some(mix(low, &high, alpha, precision)),
+            _ => Some(low),
+        }
+    }
+
+    fn read(&self, sample: &sdf::Value) -> Option<(Value, Option<Precision>)> {
+        let typed = convert::typed(sample, self.type_name);
+        let sample = typed.as_ref().unwrap_or(sample);
+        Some((convert::value(sample, self.resolve)?, Precision::of(sample)))
     }
 }
 
@@ -102,7 +126,12 @@ mod tests {
     use openusd::gf;
 
     fn at_time(samples: &sdf::TimeSampleMap, time: f64) -> Option<Value> {
-        at(samples, time, &|_| String::new())
+        let samples = Samples {
+            samples,
+            type_name: "",
+            resolve: &|_| String::new(),
+        };
+        samples.at(time)
     }
 
     #[test]
@@ -148,6 +177,17 @@ mod tests {
         };
         let truth = DQuat::from_rotation_z(45_f64.to_radians());
         assert!(half.dot(truth) > 1.0 - 1e-15);
+    }
+
+    #[test]
+    fn samples_of_text_layers_are_sorted_and_typed() {
+        let samples = vec![(10.0, sdf::Value::Int64(3)), (0.0, sdf::Value::Int64(1))];
+        let samples = Samples {
+            samples: &samples,
+            type_name: "double",
+            resolve: &|_| String::new(),
+        };
+        assert_eq!(samples.at(5.0), Some(Value::Float(2.0)));
     }
 
     #[test]

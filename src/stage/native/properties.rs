@@ -4,11 +4,12 @@
 //! read from the first site that has it, so that a default in a strong layer hides time samples in a weaker one.
 
 use super::convert;
-use super::interpolate;
+use super::interpolate::Samples;
 use super::layer_files::LayerFiles;
-use crate::stage::raw::{RawAttribute, RawPrim, RawRelationship, Request};
+use crate::stage::raw::{RawAttribute, RawPrim, RawRelationship, Request, Value};
+use openusd::pcp::{ArcType, LayerId, Node, PrimIndex};
 use openusd::sdf::{self, AbstractData, FieldKey, LayerOffset, SpecType};
-use openusd::usd::{Stage, TimeCode};
+use openusd::usd::{Attribute, Stage, TimeCode};
 use std::cell::Ref;
 
 /// Where a composed prim has opinions, strongest first.
@@ -92,6 +93,14 @@ impl Sites {
 }
 
 impl Opinions<'_> {
+    /// `value` in stage time, if it is a time.
+    fn retimed(&self, value: Value, type_name: &str) -> Value {
+        match value {
+            Value::Float(time) if type_name == "timecode" => Value::Float(self.site.offset.apply(time)),
+            other => other,
+        }
+    }
+
     fn data(&self) -> &dyn AbstractData {
         self.layer.data()
     }
@@ -192,6 +201,7 @@ impl<'a> Properties<'a> {
             interpolation: token(specs, "interpolation")?,
             element_size: match strongest(specs, "elementSize")? {
                 Some(sdf::Value::Int(size)) => Some(size),
+                Some(sdf::Value::Int64(size)) => i32::try_from(size).ok(),
                 _ => None,
             },
             color_space: token(specs, FieldKey::ColorSpace.as_str())?,
@@ -214,8 +224,13 @@ impl<'a> Properties<'a> {
                     decided = true;
                     attribute.varying = samples.len() > 1;
                     if let Some(time) = self.request.time {
-                        let time = opinions.site.offset.inverse().apply(time);
-                        attribute.value = interpolate::at(samples, time, &resolve);
+                        let samples = Samples {
+                            samples,
+                            type_name: &attribute.type_name,
+                            resolve: &resolve,
+                        };
+                        let value = samples.at(opinions.site.offset.inverse().apply(time));
+                        attribute.value = value.map(|value| opinions.retimed(value, &attribute.type_name));
                         return Ok(());
                     }
                 }
@@ -224,31 +239,45 @@ impl<'a> Properties<'a> {
                 return Err(Fault::new(&opinions.site.layer, format!("{at} is a spline, which is not supported")));
             }
             if let Some(default) = opinions.field(at, FieldKey::Default.as_str())? {
-                attribute.value = convert::value(&default, &resolve);
+                let value = convert::value(&default, &resolve);
+                attribute.value = value.map(|value| opinions.retimed(value, &attribute.type_name));
                 return Ok(());
             }
         }
         Ok(())
     }
 
-    /// Values in reach of value clips, at a time: the crate's own resolution, which knows them.
+    /// Values in reach of value clips: the crate knows them at their samples' times; between, as for any samples.
+    /// (The crate interpolates within one clip, Pixar from the last sample of one to the first of the next.)
     fn clipped(&self, path: &sdf::Path, sites: &Sites, prim: &mut RawPrim) -> Result<(), Fault> {
+        for (name, attribute) in &mut prim.attributes {
+            if !self.without_value.wants(name) {
+                let handle = self.stage.prim(path.clone()).attribute(name.as_str());
+                let read = self.clip(&handle, sites, attribute);
+                read.map_err(|error| sites.fault(&error))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn clip(&self, handle: &Attribute, sites: &Sites, attribute: &mut RawAttribute) -> anyhow::Result<()> {
+        attribute.varying = handle.value_might_be_time_varying()?;
         let Some(time) = self.request.time else {
             return Ok(());
         };
-        let layer = sites.0.first().map_or("", |site| site.layer.as_str());
-        let resolve = |authored: &str| self.files.resolve_value(authored, layer);
-        for (name, attribute) in &mut prim.attributes {
-            if self.without_value.wants(name) {
-                continue;
-            }
-            let handle = self.stage.prim(path.clone()).attribute(name.as_str());
-            let value = handle.get_at::<sdf::Value>(TimeCode::new(time));
-            let value = value.map_err(|error| sites.fault(&error))?;
-            attribute.value = value.and_then(|value| convert::value(&value, &resolve));
-            let varying = handle.value_might_be_time_varying();
-            attribute.varying = varying.map_err(|error| sites.fault(&error))?;
+        let (before, after) = handle.bracketing_time_samples(time)?.unwrap_or((time, time));
+        let mut samples = Vec::new();
+        for at in [before, after] {
+            let value = handle.get_at::<sdf::Value>(TimeCode::new(at))?;
+            samples.push((at, value.unwrap_or(sdf::Value::ValueBlock)));
         }
+        let layer = sites.0.first().map_or("", |site| site.layer.as_str());
+        let samples = Samples {
+            samples: &samples,
+            type_name: &attribute.type_name,
+            resolve: &|authored: &str| self.files.resolve_value(authored, layer),
+        };
+        attribute.value = samples.at(time);
         Ok(())
     }
 }
@@ -259,6 +288,38 @@ impl Sites {
         let layer = self.0.first().map_or("", |site| site.layer.as_str());
         Fault::new(layer, format!("{error:#}"))
     }
+}
+
+/// What instances must have in common to share a prototype: the sites that arcs on the instance itself bring in
+/// (`Pcp_InstanceKey`). The crate's own key includes variants of the instance's ancestors, and so shares too little.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub(super) struct InstanceKey(Vec<(ArcType, LayerId, String, u64, u64)>);
+
+impl InstanceKey {
+    /// The key of the instance at `path`.
+    pub(super) fn of(stage: &Stage, path: &sdf::Path) -> anyhow::Result<Self> {
+        let index = stage.prim_index(path.clone()).graph()?;
+        let nodes = index.nodes().filter(|node| node.has_specs() && is_own(&index, node));
+        let parts = nodes.map(|node| {
+            let offset = node.map_to_root().time_offset();
+            let (layer, path) = (node.layer_id(), node.path().to_string());
+            (node.arc(), layer, path, offset.offset.to_bits(), offset.scale.to_bits())
+        });
+        Ok(Self(parts.collect()))
+    }
+}
+
+/// True if an arc of the prim itself, not of an ancestor, brings `node` in.
+fn is_own(index: &PrimIndex, node: &Node) -> bool {
+    let mut at = Some(node);
+    while let Some(node) = at {
+        let parent = node.parent().map(|parent| index.node(parent));
+        if parent.is_some_and(|parent| parent.path().prim_element_count() <= usize::from(node.namespace_depth())) {
+            return true;
+        }
+        at = parent;
+    }
+    false
 }
 
 fn specs<'a>(opinions: &'a [Opinions<'a>], name: &str) -> Result<Specs<'a>, Fault> {

@@ -2,12 +2,12 @@
 
 use super::OTHER_DOOR;
 use super::layer_files::LayerFiles;
-use super::properties::{Fault, Properties, Sites, text};
+use super::properties::{Fault, InstanceKey, Properties, Sites, text};
 use crate::diagnostics::{CancelToken, Cancelled, Warning};
 use crate::stage::Error;
 use crate::stage::raw::{RawMeta, RawPrim, RawStage, Request};
 use openusd::sdf::{self, FieldKey};
-use openusd::usd::Stage;
+use openusd::usd::{ClipsAPI, Stage};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -22,7 +22,7 @@ pub(super) struct Traversal<'a> {
     prototypes: Vec<sdf::Path>,
     /// Instances met (index in `prims`) with the prototype they need (index in `prototypes`).
     instances: Vec<(usize, usize)>,
-    numbers: HashMap<sdf::Path, usize>,
+    numbers: HashMap<InstanceKey, usize>,
     warnings: Vec<Warning>,
 }
 
@@ -129,7 +129,8 @@ impl<'a> Traversal<'a> {
         self.prims.push(self.prim(next, &sites, clips)?);
         let prototype = handle.prototype().map_err(|error| sites.fault(&error))?;
         if let Some(prototype) = prototype.filter(|_| !next.root) {
-            let number = self.number(prototype);
+            let key = InstanceKey::of(self.stage, &next.path).map_err(|error| sites.fault(&error))?;
+            let number = self.number(key, prototype);
             self.instances.push((index, number));
             return Ok(Vec::new());
         }
@@ -181,9 +182,9 @@ impl<'a> Traversal<'a> {
         Ok(sites.prim_field(self.stage, field.as_str())?.and_then(text))
     }
 
-    fn number(&mut self, prototype: sdf::Path) -> usize {
+    fn number(&mut self, key: InstanceKey, prototype: sdf::Path) -> usize {
         let next = self.prototypes.len();
-        let number = *self.numbers.entry(prototype.clone()).or_insert(next);
+        let number = *self.numbers.entry(key).or_insert(next);
         if number == next {
             self.prototypes.push(prototype);
         }
@@ -194,11 +195,20 @@ impl<'a> Traversal<'a> {
     fn check_clips(&self, next: &Pending, sites: &Sites) -> Result<(), Fault> {
         let sets = self.stage.prim(next.path.clone()).clip_sets();
         let sets = sets.map_err(|error| sites.fault(&error))?;
-        if sets.len() > 1 || next.clips {
-            let error = anyhow::anyhow!("{}: several sets of value clips are not supported", next.path);
-            return Err(sites.fault(&error));
+        let clips = ClipsAPI::new(&self.stage.prim(next.path.clone()));
+        let mut plain = sets.len() <= 1 && !next.clips;
+        for set in &sets {
+            let missing = clips.interpolate_missing_clip_values(set);
+            plain &= missing.map_err(|error| sites.fault(&error))? != Some(true);
         }
-        Ok(())
+        if plain {
+            return Ok(());
+        }
+        let error = anyhow::anyhow!(
+            "{}: of value clips, only a single set without interpolateMissingClipValues is supported",
+            next.path
+        );
+        Err(sites.fault(&error))
     }
 }
 
@@ -221,6 +231,8 @@ fn meta(stage: &Stage, root: &Path) -> Result<RawMeta, Error> {
             Some(sdf::Value::Double(number)) => Some(number),
             Some(sdf::Value::Float(number)) => Some(f64::from(number)),
             Some(sdf::Value::Int(number)) => Some(f64::from(number)),
+            #[expect(clippy::cast_precision_loss, reason = "frames and units are small numbers")]
+            Some(sdf::Value::Int64(number)) => Some(number as f64),
             _ => None,
         })
     };
