@@ -1,7 +1,8 @@
 //! Text layers (`.usda`) as Pixar's parser takes them → as the crate's parser takes them.
 //!
 //! Repaired: numbers like `.5` and `5.`, quoted asset paths, `True` and `False`, `//` and `/* */` comments, whole
-//! numbers among the samples of a real attribute (the crate would not interpolate them), asset paths among samples.
+//! numbers among the samples of a real attribute (the crate would not interpolate them), asset paths among samples,
+//! escapes in strings.
 //! Refused: several statements for one relationship in one prim (the crate would keep the last), and nesting so deep
 //! that the crate's recursion would end the process.
 
@@ -151,10 +152,12 @@ impl<'a> Scanner<'a> {
         let inside = start + width..self.at.min(self.bytes.len());
         self.at = (self.at + width).min(self.bytes.len());
         let listed = self.frames.last().is_some_and(|frame| frame.assets);
-        // a quoted asset path; an empty one is written the same both ways
-        if let Some(path) = self.text.get(inside).filter(|_| self.asset_expected || listed) {
-            let marks = if path.contains('@') { "@@@" } else { "@" };
-            self.edits.push((start..self.at, format!("{marks}{path}{marks}")));
+        let content = self.text.get(inside).unwrap_or_default();
+        if self.asset_expected || listed {
+            let marks = if content.contains('@') { "@@@" } else { "@" };
+            self.edits.push((start..self.at, format!("{marks}{content}{marks}")));
+        } else if let Some(quoted) = content.contains('\\').then(|| unescaped(content)).flatten() {
+            self.edits.push((start..self.at, quoted));
         }
         self.asset_expected = false;
         self.last = 0;
@@ -295,6 +298,32 @@ impl<'a> Scanner<'a> {
     }
 }
 
+/// `content` with its escapes carried out (the crate keeps them as they are), in quotes it does not hold itself; `None`
+/// for rare escapes and where no quotes fit.
+fn unescaped(content: &str) -> Option<String> {
+    let mut plain = String::new();
+    let mut characters = content.chars();
+    while let Some(character) = characters.next() {
+        plain.push(match character {
+            '\\' => match characters.next()? {
+                'n' => '\n',
+                't' => '\t',
+                'r' => '\r',
+                quoted @ ('\\' | '"' | '\'') => quoted,
+                _ => return None,
+            },
+            character => character,
+        });
+    }
+    let fits = |quote: &&str| {
+        let holds_lines = quote.len() == 3 || !plain.contains('\n');
+        let ends_apart = !plain.ends_with(&quote[..1]) && !plain.ends_with('\\');
+        holds_lines && ends_apart && !plain.contains(*quote)
+    };
+    let quote = ["\"", "'", "\"\"\"", "'''"].into_iter().find(fits)?;
+    Some(format!("{quote}{plain}{quote}"))
+}
+
 fn is_name(byte: u8) -> bool {
     byte.is_ascii_alphabetic() || byte == b'_' || !byte.is_ascii()
 }
@@ -316,7 +345,7 @@ mod tests {
 
     #[test]
     fn strings_paths_assets_and_comments_are_left_alone() {
-        for text in ["a = \"x .5 5. True\"", "a = '''it's .5'''", "@./.5@", "</A.5>", "# .5 5.\n", "a = \"\\\".5\""] {
+        for text in ["a = \"x .5 5. True\"", "a = '''it's .5'''", "@./.5@", "</A.5>", "# .5 5.\n"] {
             assert_eq!(repaired(text).unwrap(), None, "{text}");
         }
     }
@@ -334,6 +363,13 @@ mod tests {
     fn whole_numbers_among_samples_of_reals_become_reals() {
         let text = "double a.timeSamples = { 0: 1, 5: -2.5 }\nint b.timeSamples = { 0: 1 }";
         assert_eq!(repair(text), "double a.timeSamples = { 0: 1.0, 5: -2.5 }\nint b.timeSamples = { 0: 1 }");
+    }
+
+    #[test]
+    fn escapes_are_carried_out() {
+        assert_eq!(repair(r#"a = "say \"hi\"""#), r#"a = 'say "hi"'"#);
+        assert_eq!(repair(r#"a = "x\ny""#), "a = \"\"\"x\ny\"\"\"");
+        assert_eq!(repair(r#"a = "C:\\dir""#), r#"a = "C:\dir""#);
     }
 
     #[test]
