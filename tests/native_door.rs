@@ -82,7 +82,9 @@ fn truths(python: &Path, cases: &[Case]) -> Vec<Json> {
         .expect("Python starts");
     let mut stdin = child.stdin.take().expect("stdin is piped");
     let requests = Json::Array(requests).to_string();
-    stdin.write_all(requests.as_bytes()).expect("the script reads");
+    stdin
+        .write_all(requests.as_bytes())
+        .expect("the script reads");
     drop(stdin);
     let output = child.wait_with_output().expect("the script ends");
     let text = String::from_utf8(output.stdout).expect("JSON is UTF-8");
@@ -90,7 +92,11 @@ fn truths(python: &Path, cases: &[Case]) -> Vec<Json> {
         .lines()
         .map(|line| serde_json::from_str(line).expect("one JSON object a line"))
         .collect();
-    assert_eq!(answers.len(), cases.len(), "the script answers every request");
+    assert_eq!(
+        answers.len(),
+        cases.len(),
+        "the script answers every request"
+    );
     answers
 }
 
@@ -114,38 +120,90 @@ impl Tally {
     fn fact<T: PartialEq + std::fmt::Debug>(&mut self, what: &str, ours: &T, truth: &T) {
         self.facts += 1;
         if ours != truth {
-            self.different.push(format!("{what}: {ours:?}, usd-core {truth:?}"));
+            self.different
+                .push(format!("{what}: {ours:?}, usd-core {truth:?}"));
         }
     }
 
     fn stage(&mut self, case: &Case, ours: &RawStage, truth: &Json) {
         self.stages += 1;
-        let name = case.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = case
+            .path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
         let time = case.time.map_or(String::new(), |time| format!("@{time}"));
         let name = format!("{name}{time}");
         let truth_text = renamed(&truth["prims"].to_string(), &prototype_names(truth));
-        let truth_prims: Vec<Json> = serde_json::from_str(&truth_text).expect("renaming keeps JSON");
+        let truth_prims: Vec<Json> =
+            serde_json::from_str(&truth_text).expect("renaming keeps JSON");
         let names: Vec<&str> = ours.prims[ours.prototype_start..]
             .iter()
             .filter(|prim| prim.parent.is_none())
             .map(|prim| prim.path.as_str())
             .collect();
-        let ours_paths: Vec<String> = ours.prims.iter().map(|prim| renamed(&prim.path, &names)).collect();
-        let truth_paths: Vec<&str> = truth_prims.iter().filter_map(|prim| prim["path"].as_str()).collect();
-        self.fact(&format!("{name} prims"), &ours_paths.iter().map(String::as_str).collect(), &truth_paths);
-        self.fact(&format!("{name} prototypeStart"), &json!(ours.prototype_start), &truth["prototypeStart"]);
-        self.fact(&format!("{name} upAxis"), &json!(ours.meta.up_axis), &truth["upAxis"]);
-        self.fact(&format!("{name} metersPerUnit"), &json!(ours.meta.meters_per_unit), &truth["metersPerUnit"]);
-        self.fact(&format!("{name} defaultPrim"), &json!(ours.meta.default_prim), &truth["defaultPrim"]);
-        self.fact(&format!("{name} start"), &json!(ours.meta.start_time_code), &truth["startTimeCode"]);
-        self.fact(&format!("{name} end"), &json!(ours.meta.end_time_code), &truth["endTimeCode"]);
+        let ours_paths: Vec<String> = ours
+            .prims
+            .iter()
+            .map(|prim| renamed(&prim.path, &names))
+            .collect();
+        let truth_paths: Vec<&str> = truth_prims
+            .iter()
+            .filter_map(|prim| prim["path"].as_str())
+            .collect();
+        self.fact(
+            &format!("{name} prims"),
+            &ours_paths.iter().map(String::as_str).collect(),
+            &truth_paths,
+        );
+        self.fact(
+            &format!("{name} prototypeStart"),
+            &json!(ours.prototype_start),
+            &truth["prototypeStart"],
+        );
+        self.fact(
+            &format!("{name} upAxis"),
+            &json!(ours.meta.up_axis),
+            &truth["upAxis"],
+        );
+        self.fact(
+            &format!("{name} metersPerUnit"),
+            &json!(ours.meta.meters_per_unit),
+            &truth["metersPerUnit"],
+        );
+        self.fact(
+            &format!("{name} defaultPrim"),
+            &json!(ours.meta.default_prim),
+            &truth["defaultPrim"],
+        );
+        self.fact(
+            &format!("{name} start"),
+            &json!(ours.meta.start_time_code),
+            &truth["startTimeCode"],
+        );
+        self.fact(
+            &format!("{name} end"),
+            &json!(ours.meta.end_time_code),
+            &truth["endTimeCode"],
+        );
         let mut layers: Vec<String> = ours.meta.layers.iter().map(|layer| real(layer)).collect();
         layers.sort();
         self.layers(&name, &layers, &keys(&truth["layers"]));
         for (index, prim) in ours.prims.iter().enumerate() {
-            if let Some(at) = truth_paths.iter().position(|path| *path == ours_paths[index]) {
+            if let Some(at) = truth_paths
+                .iter()
+                .position(|path| *path == ours_paths[index])
+            {
                 self.prims += 1;
-                self.prim(&format!("{name} {}", prim.path), ours, prim, &truth_prims[at], &names, case.time.is_some());
+                self.prim(
+                    &format!("{name} {}", prim.path),
+                    ours,
+                    prim,
+                    &truth_prims[at],
+                    &names,
+                    case.time.is_some(),
+                );
             }
         }
     }
@@ -155,38 +213,126 @@ impl Tally {
         self.facts += 1;
         self.same_layers += usize::from(ours == truth);
         for layer in ours.iter().filter(|layer| !truth.contains(layer)) {
-            self.different.push(format!("{name} layers: usd-core does not use {layer}"));
+            self.different
+                .push(format!("{name} layers: usd-core does not use {layer}"));
         }
     }
 
-    fn prim(&mut self, name: &str, stage: &RawStage, ours: &RawPrim, truth: &Json, names: &[&str], timed: bool) {
-        let path_of = |index: Option<usize>| json!(index.map(|index| renamed(&stage.prims[index].path, names)));
-        self.fact(&format!("{name} type"), &json!(ours.type_name), &truth["type"]);
-        self.fact(&format!("{name} parent"), &path_of(ours.parent), &truth["parent"]);
-        self.fact(&format!("{name} apiSchemas"), &json!(ours.api_schemas), &truth["apiSchemas"]);
-        self.fact(&format!("{name} prototype"), &path_of(ours.prototype), &truth["prototype"]);
+    fn prim(
+        &mut self,
+        name: &str,
+        stage: &RawStage,
+        ours: &RawPrim,
+        truth: &Json,
+        names: &[&str],
+        timed: bool,
+    ) {
+        let path_of = |index: Option<usize>| {
+            json!(index.map(|index| renamed(&stage.prims[index].path, names)))
+        };
+        self.fact(
+            &format!("{name} type"),
+            &json!(ours.type_name),
+            &truth["type"],
+        );
+        self.fact(
+            &format!("{name} parent"),
+            &path_of(ours.parent),
+            &truth["parent"],
+        );
+        self.fact(
+            &format!("{name} apiSchemas"),
+            &json!(ours.api_schemas),
+            &truth["apiSchemas"],
+        );
+        self.fact(
+            &format!("{name} prototype"),
+            &path_of(ours.prototype),
+            &truth["prototype"],
+        );
         self.fact(&format!("{name} kind"), &json!(ours.kind), &truth["kind"]);
-        self.fact(&format!("{name} attributes"), &keys(&json!(ours.attributes.keys().collect::<Vec<_>>())), &sorted_keys(&truth["attributes"]));
-        self.fact(&format!("{name} relationships"), &keys(&json!(ours.relationships.keys().collect::<Vec<_>>())), &sorted_keys(&truth["relationships"]));
+        self.fact(
+            &format!("{name} attributes"),
+            &keys(&json!(ours.attributes.keys().collect::<Vec<_>>())),
+            &sorted_keys(&truth["attributes"]),
+        );
+        self.fact(
+            &format!("{name} relationships"),
+            &keys(&json!(ours.relationships.keys().collect::<Vec<_>>())),
+            &sorted_keys(&truth["relationships"]),
+        );
         for (key, relationship) in &ours.relationships {
             let truth = &truth["relationships"][key];
-            let targets: Vec<String> = relationship.targets.iter().map(|path| renamed(path, names)).collect();
-            self.fact(&format!("{name}.{key} targets"), &json!(targets), &truth["targets"]);
-            self.fact(&format!("{name}.{key} bindMaterialAs"), &json!(relationship.bind_material_as), &truth["bindMaterialAs"]);
+            let targets: Vec<String> = relationship
+                .targets
+                .iter()
+                .map(|path| renamed(path, names))
+                .collect();
+            self.fact(
+                &format!("{name}.{key} targets"),
+                &json!(targets),
+                &truth["targets"],
+            );
+            self.fact(
+                &format!("{name}.{key} bindMaterialAs"),
+                &json!(relationship.bind_material_as),
+                &truth["bindMaterialAs"],
+            );
         }
         for (key, attribute) in &ours.attributes {
-            self.attribute(&format!("{name}.{key}"), attribute, &truth["attributes"][key], names, timed);
+            self.attribute(
+                &format!("{name}.{key}"),
+                attribute,
+                &truth["attributes"][key],
+                names,
+                timed,
+            );
         }
     }
 
-    fn attribute(&mut self, name: &str, ours: &RawAttribute, truth: &Json, names: &[&str], timed: bool) {
-        let connections: Vec<String> = ours.connections.iter().map(|path| renamed(path, names)).collect();
-        self.fact(&format!("{name} type"), &json!(ours.type_name), &truth["type"]);
-        self.fact(&format!("{name} interpolation"), &json!(ours.interpolation), &truth["interpolation"]);
-        self.fact(&format!("{name} elementSize"), &json!(ours.element_size), &truth["elementSize"]);
-        self.fact(&format!("{name} colorSpace"), &json!(ours.color_space), &truth["colorSpace"]);
-        self.fact(&format!("{name} connections"), &json!(connections), &truth["connections"]);
-        self.fact(&format!("{name} varying"), &json!(ours.varying), &truth["varying"]);
+    fn attribute(
+        &mut self,
+        name: &str,
+        ours: &RawAttribute,
+        truth: &Json,
+        names: &[&str],
+        timed: bool,
+    ) {
+        let connections: Vec<String> = ours
+            .connections
+            .iter()
+            .map(|path| renamed(path, names))
+            .collect();
+        self.fact(
+            &format!("{name} type"),
+            &json!(ours.type_name),
+            &truth["type"],
+        );
+        self.fact(
+            &format!("{name} interpolation"),
+            &json!(ours.interpolation),
+            &truth["interpolation"],
+        );
+        self.fact(
+            &format!("{name} elementSize"),
+            &json!(ours.element_size),
+            &truth["elementSize"],
+        );
+        self.fact(
+            &format!("{name} colorSpace"),
+            &json!(ours.color_space),
+            &truth["colorSpace"],
+        );
+        self.fact(
+            &format!("{name} connections"),
+            &json!(connections),
+            &truth["connections"],
+        );
+        self.fact(
+            &format!("{name} varying"),
+            &json!(ours.varying),
+            &truth["varying"],
+        );
         self.values += 1;
         let tolerance = match timed {
             false => COPIED,
@@ -195,18 +341,26 @@ impl Tally {
         };
         if !same_value(ours.value.as_ref(), &truth["value"], tolerance) {
             let ours = ours.value.as_ref().map(encode);
-            self.different.push(format!("{name} value: {ours:?}, usd-core {}", truth["value"]));
+            self.different.push(format!(
+                "{name} value: {ours:?}, usd-core {}",
+                truth["value"]
+            ));
         }
     }
 }
 
 fn keys(list: &Json) -> Vec<String> {
     let names = list.as_array().into_iter().flatten();
-    names.filter_map(|name| name.as_str().map(str::to_owned)).collect()
+    names
+        .filter_map(|name| name.as_str().map(str::to_owned))
+        .collect()
 }
 
 fn sorted_keys(object: &Json) -> Vec<String> {
-    let mut names: Vec<String> = object.as_object().map(|map| map.keys().cloned().collect()).unwrap_or_default();
+    let mut names: Vec<String> = object
+        .as_object()
+        .map(|map| map.keys().cloned().collect())
+        .unwrap_or_default();
     names.sort();
     names
 }
@@ -262,7 +416,9 @@ fn encode(value: &Value) -> Json {
         Value::FloatArray(v) => array(v.iter().map(|&x| f64::from(x)), 1),
         Value::Vec2Array(v) => array(v.iter().flat_map(|v| v.to_array()).map(f64::from), 2),
         Value::Vec3Array(v) => array(v.iter().flat_map(|v| v.to_array()).map(f64::from), 3),
-        Value::Vec4Array(v) | Value::QuatArray(v) => array(v.iter().flat_map(|v| v.to_array()).map(f64::from), 4),
+        Value::Vec4Array(v) | Value::QuatArray(v) => {
+            array(v.iter().flat_map(|v| v.to_array()).map(f64::from), 4)
+        }
         Value::MatrixArray(v) => array(v.iter().flat_map(|v| v.to_cols_array()), 16),
         Value::TokenArray(v) => json!({"texts": v}),
     }
@@ -282,7 +438,11 @@ fn numbers(list: &[f64]) -> Json {
 
 fn array(list: impl Iterator<Item = f64>, width: usize) -> Json {
     let list: Vec<f64> = list.collect();
-    let weighted = list.iter().enumerate().map(|(i, x)| x * (1 + i % 97) as f64).sum();
+    let weighted = list
+        .iter()
+        .enumerate()
+        .map(|(i, x)| x * (1 + i % 97) as f64)
+        .sum();
     let size = list.iter().map(|x| x.abs()).sum();
     json!({"array": {
         "count": list.len() / width,
@@ -306,13 +466,25 @@ fn same_value(ours: Option<&Value>, truth: &Json, tolerance: f64) -> bool {
     if let (Some(ours), Some(theirs)) = (encoded["array"].as_object(), truth["array"].as_object()) {
         let scale = ours["size"].as_f64().unwrap_or(0.0);
         // an empty array has no width in numpy
-        let shape = ours["count"] == theirs["count"] && (ours["width"] == theirs["width"] || ours["count"] == 0);
+        let shape = ours["count"] == theirs["count"]
+            && (ours["width"] == theirs["width"] || ours["count"] == 0);
         let close = |key: &str, scale: f64| near(&ours[key], &theirs[key], tolerance * scale);
-        return shape && close("sum", scale) && close("weighted", scale * 97.0) && close("size", scale);
+        return shape
+            && close("sum", scale)
+            && close("weighted", scale * 97.0)
+            && close("size", scale);
     }
-    if let (Some(ours), Some(theirs)) = (encoded["numbers"].as_array(), truth["numbers"].as_array()) {
-        let size = ours.iter().filter_map(Json::as_f64).fold(0.0, |sum, x| sum + x.abs());
-        return ours.len() == theirs.len() && ours.iter().zip(theirs).all(|(a, b)| near(a, b, tolerance * size));
+    if let (Some(ours), Some(theirs)) = (encoded["numbers"].as_array(), truth["numbers"].as_array())
+    {
+        let size = ours
+            .iter()
+            .filter_map(Json::as_f64)
+            .fold(0.0, |sum, x| sum + x.abs());
+        return ours.len() == theirs.len()
+            && ours
+                .iter()
+                .zip(theirs)
+                .all(|(a, b)| near(a, b, tolerance * size));
     }
     if let Some(size) = encoded["number"].as_f64() {
         return near(&encoded["number"], &truth["number"], tolerance * size.abs());
@@ -338,11 +510,19 @@ fn near(ours: &Json, truth: &Json, tolerance: f64) -> bool {
 fn compare(python: &Path, cases: &[Case]) -> Tally {
     let mut tally = Tally::default();
     for (case, truth) in cases.iter().zip(truths(python, cases)) {
-        match (native(case, &Diagnostics::default()), truth["error"].as_str()) {
+        match (
+            native(case, &Diagnostics::default()),
+            truth["error"].as_str(),
+        ) {
             (Ok(stage), None) => tally.stage(case, &stage, &truth),
             (Err(_), Some(_)) => {}
-            (Ok(_), Some(error)) => tally.different.push(format!("{}: usd-core refuses: {error}", case.path.display())),
-            (Err(error), None) => tally.different.push(format!("{}: we refuse: {error}", case.path.display())),
+            (Ok(_), Some(error)) => tally.different.push(format!(
+                "{}: usd-core refuses: {error}",
+                case.path.display()
+            )),
+            (Err(error), None) => tally
+                .different
+                .push(format!("{}: we refuse: {error}", case.path.display())),
         }
     }
     for line in &tally.different {
@@ -350,7 +530,12 @@ fn compare(python: &Path, cases: &[Case]) -> Tally {
     }
     println!(
         "{} stages, {} prims, {} values and {} other facts compared; {} different; {} lists of layers the same",
-        tally.stages, tally.prims, tally.values, tally.facts, tally.different.len(), tally.same_layers
+        tally.stages,
+        tally.prims,
+        tally.values,
+        tally.facts,
+        tally.different.len(),
+        tally.same_layers
     );
     tally
 }
@@ -364,7 +549,10 @@ fn stages_below(folder: &Path, found: &mut Vec<PathBuf>) {
     for path in entries {
         if path.is_dir() {
             stages_below(&path, found);
-        } else if path.extension().is_some_and(|e| ["usd", "usda", "usdc", "usdz"].iter().any(|usd| e == *usd)) {
+        } else if path
+            .extension()
+            .is_some_and(|e| ["usd", "usda", "usdc", "usdz"].iter().any(|usd| e == *usd))
+        {
             found.push(path);
         }
     }
@@ -397,7 +585,9 @@ const FEATURES: &[Feature] = &[
     Feature {
         name: "references, with list ops, offsets and paths mapped",
         files: &[
-            ("root.usda", r#"#usda 1.0
+            (
+                "root.usda",
+                r#"#usda 1.0
 (defaultPrim = "World"
 upAxis = "Z"
 metersPerUnit = 0.01
@@ -416,8 +606,11 @@ double radius = 7
 }
 }
 }
-"#),
-            ("asset.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "asset.usda",
+                r#"#usda 1.0
 (defaultPrim = "Asset"
 timeCodesPerSecond = 48)
 def Xform "Asset" (kind = "component"
@@ -446,29 +639,38 @@ def Xform "Other" {
 double speed = 2
 double y = 5
 }
-"#),
+"#,
+            ),
         ],
     },
     Feature {
         name: "sublayers with offsets: a default in a strong layer hides samples in a weak one",
         files: &[
-            ("root.usda", r#"#usda 1.0
+            (
+                "root.usda",
+                r#"#usda 1.0
 (subLayers = [@./strong.usda@, @./weak.usda@ (offset = 5; scale = 0.5)])
 over "P" {
 double b.timeSamples = { 0: 1, 10: 2
 }
 double d = None
 }
-"#),
-            ("strong.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "strong.usda",
+                r#"#usda 1.0
 over "P" {
 double a = 100
 double e = 4
 double e.timeSamples = { 0: 8
 }
 }
-"#),
-            ("weak.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "weak.usda",
+                r#"#usda 1.0
 def Xform "P" {
 double a.timeSamples = { 0: 1, 20: 2
 }
@@ -483,12 +685,15 @@ int held.timeSamples = { 0: 1, 20: 5
     double e = 5
 timecode when = 3
 }
-"#),
+"#,
+            ),
         ],
     },
     Feature {
         name: "variants, nested and without a selection",
-        files: &[("root.usda", r#"#usda 1.0
+        files: &[(
+            "root.usda",
+            r#"#usda 1.0
 def Xform "P" (variants = {
 string shape = "ball"
 string nothing = "missing"
@@ -524,11 +729,14 @@ def Cone "C" {}
 }
 }
 }
-"#)],
+"#,
+        )],
     },
     Feature {
         name: "inherits and specializes",
-        files: &[("root.usda", r#"#usda 1.0
+        files: &[(
+            "root.usda",
+            r#"#usda 1.0
 class "_Class" {
 double a = 1
 double b = 1
@@ -554,12 +762,15 @@ def "R" {
 double c = 3
 double b = 3
 }
-"#)],
+"#,
+        )],
     },
     Feature {
         name: "payloads, inactive, over, class, untyped",
         files: &[
-            ("root.usda", r#"#usda 1.0
+            (
+                "root.usda",
+                r#"#usda 1.0
 def "P" (payload = @./p.usda@</Pay>) {
 over "Off" (active = false) {}
 over "New" {
@@ -573,8 +784,11 @@ class "Abstract" {
 def Sphere "Unseen" {}
 }
 def "Many" (payload = [@./p.usda@</Pay>, @./p.usda@</Pay2>]) {}
-"#),
-            ("p.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "p.usda",
+                r#"#usda 1.0
 def Xform "Pay" {
 def Sphere "Off" {}
 def Sphere "On" (hidden = true) {}
@@ -582,13 +796,16 @@ def Sphere "On" (hidden = true) {}
 def "Pay2" {
 def Cube "Second" {}
 }
-"#),
+"#,
+            ),
         ],
     },
     Feature {
         name: "native instances: shared, nested, different variants, overridden at the root, targets inside and outside",
         files: &[
-            ("root.usda", r#"#usda 1.0
+            (
+                "root.usda",
+                r#"#usda 1.0
 def Xform "World" {
     def "I1" (instanceable = true
 references = @./asset.usda@) {
@@ -619,8 +836,11 @@ def Sphere "Seen" {}
 }
     rel into = [</World/I1/Geo>, </World/I1>]
 }
-"#),
-            ("asset.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "asset.usda",
+                r#"#usda 1.0
 (defaultPrim = "Asset")
 def Xform "Asset" (kind = "component"
 variants = {
@@ -658,12 +878,15 @@ def Cone "Tip" {
 rel up = </Leaf>
 }
 }
-"#),
+"#,
+            ),
         ],
     },
     Feature {
         name: "every kind of value",
-        files: &[("root.usda", r#"#usda 1.0
+        files: &[(
+            "root.usda",
+            r#"#usda 1.0
 def "P" {
     bool b = true
 bool[] bs = [true, false]
@@ -721,11 +944,14 @@ elementSize = 3)
 color3f[] primvars:c = [(1, 1, 1)] (colorSpace = "lin_rec709")
     int[] primvars:x:indices = [0]
 }
-"#)],
+"#,
+        )],
     },
     Feature {
         name: "interpolation of every kind",
-        files: &[("root.usda", r#"#usda 1.0
+        files: &[(
+            "root.usda",
+            r#"#usda 1.0
 def "P" {
     half h.timeSamples = { 0: 0.1, 10: 7.3
 }
@@ -767,12 +993,15 @@ double block.timeSamples = { 0: 1, 2: None, 8: 5
 double tail.timeSamples = { 0: 1, 20: None
 }
 }
-"#)],
+"#,
+        )],
     },
     Feature {
         name: "list ops of relationships, connections and API schemas across layers",
         files: &[
-            ("root.usda", r#"#usda 1.0
+            (
+                "root.usda",
+                r#"#usda 1.0
 (subLayers = [@./weak.usda@])
 def "P" (prepend apiSchemas = ["A1"] ) {
 prepend rel r = </X>
@@ -780,8 +1009,11 @@ append float in.connect = </Y.out>
 delete rel gone = </B>
 rel empty = None
 }
-"#),
-            ("weak.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "weak.usda",
+                r#"#usda 1.0
 def "P" (append apiSchemas = ["A2", "A1"]) {
 rel r = [</A>, </X>]
 float in.connect = [</A.out>]
@@ -791,12 +1023,15 @@ float in = 3
 rel declared
 }
 def "X" {}
-"#),
+"#,
+            ),
         ],
     },
     Feature {
         name: "reordering, relocates, names",
-        files: &[("root.usda", r#"#usda 1.0
+        files: &[(
+            "root.usda",
+            r#"#usda 1.0
 reorder rootPrims = ["B", "A"]
 def "A" {
 reorder nameChildren = ["y", "x"]
@@ -812,19 +1047,25 @@ int a:b:c = 1
 }
 }
 def "Élan" {}
-"#)],
+"#,
+        )],
     },
     Feature {
         name: "relocates",
         files: &[
-            ("root.usda", r#"#usda 1.0
+            (
+                "root.usda",
+                r#"#usda 1.0
 (relocates = { </W/A/x>: </W/moved>
 })
 def "W" {
 def "A" (references = @./a.usda@</A>) {}
 }
-"#),
-            ("a.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "a.usda",
+                r#"#usda 1.0
 def "A" {
 def Sphere "x" {
 double radius = 3
@@ -832,28 +1073,37 @@ rel t = </A/x>
 }
 rel t = </A/x>
 }
-"#),
+"#,
+            ),
         ],
     },
     Feature {
         name: "missing layers and paths are dropped",
         files: &[
-            ("root.usda", r#"#usda 1.0
+            (
+                "root.usda",
+                r#"#usda 1.0
 (subLayers = [@./gone.usda@])
 def "P" (references = [@./gone.usda@, @./a.usda@</Nothing>, @./a.usda@, </Nowhere>]) {
 int kept = 1
 }
 def "Q" (payload = @./gone.mtlx@) { }
-"#),
-            ("a.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "a.usda",
+                r#"#usda 1.0
 def "A" {}
-"#),
+"#,
+            ),
         ],
     },
     Feature {
         name: "cycles are cut",
         files: &[
-            ("root.usda", r#"#usda 1.0
+            (
+                "root.usda",
+                r#"#usda 1.0
 (subLayers = [@./root.usda@])
 def "P" (references = @./b.usda@</B>) {
 int kept = 1
@@ -870,18 +1120,24 @@ def "I" (inherits = </J>) {}
 def "J" (inherits = </I>) {
 int j = 1
 }
-"#),
-            ("b.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "b.usda",
+                r#"#usda 1.0
 def "B" (references = @./root.usda@</P>) {
 int b = 2
 }
-"#),
+"#,
+            ),
         ],
     },
     Feature {
         name: "value clips",
         files: &[
-            ("root.usda", r#"#usda 1.0
+            (
+                "root.usda",
+                r#"#usda 1.0
 def "M" (clips = {
 dictionary default = {
 asset[] assetPaths = [@./c1.usda@, @./c2.usda@]
@@ -897,16 +1153,22 @@ def "K" {
 double b
 }
 }
-"#),
-            ("manifest.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "manifest.usda",
+                r#"#usda 1.0
 def "M" {
 double a
 def "K" {
 double b
 }
 }
-"#),
-            ("c1.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "c1.usda",
+                r#"#usda 1.0
 def "M" {
 double a.timeSamples = { 0: 0, 10: 10
 }
@@ -915,8 +1177,11 @@ double b.timeSamples = { 0: 1, 10: 2
 }
 }
 }
-"#),
-            ("c2.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "c2.usda",
+                r#"#usda 1.0
 def "M" {
 double a.timeSamples = { 10: 100, 20: 200
 }
@@ -925,28 +1190,37 @@ double b.timeSamples = { 10: 3, 20: 4
 }
 }
 }
-"#),
+"#,
+            ),
         ],
     },
     Feature {
         name: "variable expressions",
         files: &[
-            ("root.usda", r#"#usda 1.0
+            (
+                "root.usda",
+                r#"#usda 1.0
 (expressionVariables = {
 string WHICH = "a"
 })
 def "P" (references = @`"./${WHICH}.usda"`@</A>) {}
-"#),
-            ("a.usda", r#"#usda 1.0
+"#,
+            ),
+            (
+                "a.usda",
+                r#"#usda 1.0
 def "A" {
 int found = 1
 }
-"#),
+"#,
+            ),
         ],
     },
     Feature {
         name: "text that only Pixar's parser takes",
-        files: &[("root.usda", r#"#usda 1.0
+        files: &[(
+            "root.usda",
+            r#"#usda 1.0
 ( metersPerUnit = .01 )
 def "P" ( active = True
 kind = "component" ) {
@@ -963,7 +1237,8 @@ asset[] f = ["a.png", 'b.png']
 asset i = @./keep.5.@  # .5
 }
 def "Off" ( active = False ) {}
-"#)],
+"#,
+        )],
     },
 ];
 
@@ -979,12 +1254,77 @@ fn composition_features_read_like_usd_core_reads_them() {
             std::fs::write(folder.path().join(name), text).expect("a file");
         }
         let root = folder.path().join(feature.files[0].0);
-        let cases = [None, Some(-1.0), Some(3.0), Some(6.5), Some(12.0)].map(|time| Case::new(&root, time));
+        let cases =
+            [None, Some(-1.0), Some(3.0), Some(6.5), Some(12.0)].map(|time| Case::new(&root, time));
         println!("{}:", feature.name);
         let tally = compare(&python, &cases);
         if !tally.different.is_empty() {
-            failed.push(format!("{}:\n  {}", feature.name, tally.different.join("\n  ")));
+            failed.push(format!(
+                "{}:\n  {}",
+                feature.name,
+                tally.different.join("\n  ")
+            ));
         }
     }
     assert!(failed.is_empty(), "{}", failed.join("\n"));
+}
+
+/// A layer with what crate files encode in different ways: compressed and plain arrays, samples, list ops,
+/// dictionaries, strings, variants.
+const RICH: &str = r#"#usda 1.0
+(defaultPrim = "World" customLayerData = { string tool = "t" dictionary more = { int n = 3 } })
+def Xform "World" (kind = "group" prepend apiSchemas = ["MaterialBindingAPI"] variants = { string v = "a" } prepend variantSets = "v"
+    inherits = </World/C> references = </World/C> payload = </World/C>) {
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1)]
+    int[] faceVertexCounts = [3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3]
+    float[] widths = [1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3]
+    double3 xformOp:translate.timeSamples = { 1: (0, 0, 0), 5: (1, 2, 3) }
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    string text = "hello"
+    asset file = @./a.png@
+    rel to = [</World/C>, </World>]
+    def Sphere "C" { double radius = 2 color3f[] primvars:displayColor = [(1, 0, 0)] (interpolation = "constant") }
+    variantSet "v" = { "a" { int chosen = 1 } "b" { int chosen = 2 } }
+}
+"#;
+
+fn binary(text: &str) -> Vec<u8> {
+    let data = openusd::usda::parse(text).expect("the text is right");
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    openusd::usdc::CrateWriter::write(&data, &mut bytes).expect("it can be written");
+    bytes.into_inner()
+}
+
+/// Read `bytes` as a file called `name`, at two times; whatever is wrong with them must come back as an `Err`.
+fn survive(folder: &Path, name: &str, bytes: &[u8]) {
+    let path = folder.join(name);
+    std::fs::write(&path, bytes).expect("a file");
+    for time in [None, Some(2.0)] {
+        let _ = native(&Case::new(&path, time), &Diagnostics::default());
+    }
+}
+
+#[test]
+fn truncated_files_are_errors() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let binary = binary(RICH);
+    for length in (0..binary.len()).step_by(7) {
+        survive(folder.path(), "cut.usdc", &binary[..length]);
+    }
+    for length in (0..RICH.len()).step_by(7) {
+        survive(folder.path(), "cut.usda", &RICH.as_bytes()[..length]);
+    }
+}
+
+#[test]
+fn bit_flips_are_survived() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let binary = binary(RICH);
+    for at in (0..binary.len()).step_by(3) {
+        for flip in [0x01, 0xff] {
+            let mut bytes = binary.clone();
+            bytes[at] ^= flip;
+            survive(folder.path(), "flipped.usdc", &bytes);
+        }
+    }
 }

@@ -24,7 +24,9 @@ pub(super) fn judge(error: &pcp::Error, root: &Path) -> Result<Option<Warning>, 
         } => (
             "missing-layer",
             site_path.to_string(),
-            format!("@{asset_path}@, used in {introduced_by}, does not exist; what it holds is missing from the stage"),
+            format!(
+                "@{asset_path}@, used in {introduced_by}, does not exist; what it holds is missing from the stage"
+            ),
         ),
         pcp::Error::UnresolvedSublayer {
             asset_path,
@@ -32,7 +34,9 @@ pub(super) fn judge(error: &pcp::Error, root: &Path) -> Result<Option<Warning>, 
         } => (
             "missing-layer",
             introduced_by.clone(),
-            format!("sublayer @{asset_path}@ does not exist; what it holds is missing from the stage"),
+            format!(
+                "sublayer @{asset_path}@ does not exist; what it holds is missing from the stage"
+            ),
         ),
         pcp::Error::MalformedLayer {
             asset_path,
@@ -90,7 +94,11 @@ fn is_usd(asset_path: &str) -> bool {
     Path::new(path)
         .extension()
         .and_then(|extension| extension.to_str())
-        .is_some_and(|extension| USD_EXTENSIONS.iter().any(|usd| usd.eq_ignore_ascii_case(extension)))
+        .is_some_and(|extension| {
+            USD_EXTENSIONS
+                .iter()
+                .any(|usd| usd.eq_ignore_ascii_case(extension))
+        })
 }
 
 #[cfg(test)]

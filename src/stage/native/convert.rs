@@ -17,13 +17,40 @@ impl Precision {
     pub(super) fn of(value: &sdf::Value) -> Option<Self> {
         use sdf::Value as V;
         match value {
-            V::Half(_) | V::HalfVec(_) | V::Quath(_) | V::QuathVec(_) | V::Vec2h(_) | V::Vec2hVec(_)
-            | V::Vec3h(_) | V::Vec3hVec(_) | V::Vec4h(_) | V::Vec4hVec(_) => Some(Self::Half),
-            V::Float(_) | V::FloatVec(_) | V::Quatf(_) | V::QuatfVec(_) | V::Vec2f(_) | V::Vec2fVec(_)
-            | V::Vec3f(_) | V::Vec3fVec(_) | V::Vec4f(_) | V::Vec4fVec(_) => Some(Self::Single),
-            V::Double(_) | V::DoubleVec(_) | V::Quatd(_) | V::QuatdVec(_) | V::Vec2d(_) | V::Vec2dVec(_)
-            | V::Vec3d(_) | V::Vec3dVec(_) | V::Vec4d(_) | V::Vec4dVec(_) | V::Matrix4d(_)
-            | V::Matrix4dVec(_) | V::TimeCode(_) | V::TimeCodeVec(_) => Some(Self::Double),
+            V::Half(_)
+            | V::HalfVec(_)
+            | V::Quath(_)
+            | V::QuathVec(_)
+            | V::Vec2h(_)
+            | V::Vec2hVec(_)
+            | V::Vec3h(_)
+            | V::Vec3hVec(_)
+            | V::Vec4h(_)
+            | V::Vec4hVec(_) => Some(Self::Half),
+            V::Float(_)
+            | V::FloatVec(_)
+            | V::Quatf(_)
+            | V::QuatfVec(_)
+            | V::Vec2f(_)
+            | V::Vec2fVec(_)
+            | V::Vec3f(_)
+            | V::Vec3fVec(_)
+            | V::Vec4f(_)
+            | V::Vec4fVec(_) => Some(Self::Single),
+            V::Double(_)
+            | V::DoubleVec(_)
+            | V::Quatd(_)
+            | V::QuatdVec(_)
+            | V::Vec2d(_)
+            | V::Vec2dVec(_)
+            | V::Vec3d(_)
+            | V::Vec3dVec(_)
+            | V::Vec4d(_)
+            | V::Vec4dVec(_)
+            | V::Matrix4d(_)
+            | V::Matrix4dVec(_)
+            | V::TimeCode(_)
+            | V::TimeCodeVec(_) => Some(Self::Double),
             _ => None,
         }
     }
@@ -64,7 +91,10 @@ fn real(sample: &sdf::Value) -> Option<f64> {
     use sdf::Value as V;
     match sample {
         V::Double(x) => Some(*x),
-        #[expect(clippy::cast_precision_loss, reason = "what the text says was meant as a real number")]
+        #[expect(
+            clippy::cast_precision_loss,
+            reason = "what the text says was meant as a real number"
+        )]
         V::Int64(x) => Some(*x as f64),
         V::Token(word) => word.as_str().parse().ok(),
         _ => None,
@@ -81,9 +111,15 @@ pub(super) fn value(from: &sdf::Value, resolve: &dyn Fn(&str) -> String) -> Opti
             resolved: resolve(asset.asset_path()),
         }),
         V::AssetPathVec(assets) => Some(Value::TokenArray(
-            assets.iter().map(|asset| asset.authored_path.clone()).collect(),
+            assets
+                .iter()
+                .map(|asset| asset.authored_path.clone())
+                .collect(),
         )),
-        other => scalar(other).or_else(|| tuple(other)).or_else(|| array(other)).or_else(|| tuple_array(other)),
+        other => scalar(other)
+            .or_else(|| tuple(other))
+            .or_else(|| array(other))
+            .or_else(|| tuple_array(other)),
     }
 }
 
@@ -117,12 +153,27 @@ fn tuple(from: &sdf::Value) -> Option<Value> {
         V::Vec3f(v) => Value::Vec3(DVec3::new(v.x.into(), v.y.into(), v.z.into())),
         V::Vec3d(v) => Value::Vec3(DVec3::new(v.x, v.y, v.z)),
         V::Vec3i(v) => Value::Vec3(DVec3::new(v.x.into(), v.y.into(), v.z.into())),
-        V::Vec4h(v) => Value::Vec4(DVec4::new(v.x.to_f64(), v.y.to_f64(), v.z.to_f64(), v.w.to_f64())),
+        V::Vec4h(v) => Value::Vec4(DVec4::new(
+            v.x.to_f64(),
+            v.y.to_f64(),
+            v.z.to_f64(),
+            v.w.to_f64(),
+        )),
         V::Vec4f(v) => Value::Vec4(DVec4::new(v.x.into(), v.y.into(), v.z.into(), v.w.into())),
         V::Vec4d(v) => Value::Vec4(DVec4::new(v.x, v.y, v.z, v.w)),
         V::Vec4i(v) => Value::Vec4(DVec4::new(v.x.into(), v.y.into(), v.z.into(), v.w.into())),
-        V::Quath(q) => Value::Quat(DQuat::from_xyzw(q.x.to_f64(), q.y.to_f64(), q.z.to_f64(), q.w.to_f64())),
-        V::Quatf(q) => Value::Quat(DQuat::from_xyzw(q.x.into(), q.y.into(), q.z.into(), q.w.into())),
+        V::Quath(q) => Value::Quat(DQuat::from_xyzw(
+            q.x.to_f64(),
+            q.y.to_f64(),
+            q.z.to_f64(),
+            q.w.to_f64(),
+        )),
+        V::Quatf(q) => Value::Quat(DQuat::from_xyzw(
+            q.x.into(),
+            q.y.into(),
+            q.z.into(),
+            q.w.into(),
+        )),
         V::Quatd(q) => Value::Quat(DQuat::from_xyzw(q.x, q.y, q.z, q.w)),
         V::Matrix4d(m) => Value::Matrix(matrix(m)),
         _ => return None,
@@ -149,33 +200,76 @@ fn array(from: &sdf::Value) -> Option<Value> {
     })
 }
 
-#[expect(clippy::cast_precision_loss, reason = "integer vectors have no exact f32 form; none is geometry")]
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "integer vectors have no exact f32 form; none is geometry"
+)]
 fn tuple_array(from: &sdf::Value) -> Option<Value> {
     use sdf::Value as V;
     Some(match from {
-        V::Vec2hVec(v) => Value::Vec2Array(v.iter().map(|v| Vec2::new(v.x.to_f32(), v.y.to_f32())).collect()),
+        V::Vec2hVec(v) => Value::Vec2Array(
+            v.iter()
+                .map(|v| Vec2::new(v.x.to_f32(), v.y.to_f32()))
+                .collect(),
+        ),
         V::Vec2fVec(v) => Value::Vec2Array(v.iter().map(|v| Vec2::new(v.x, v.y)).collect()),
-        V::Vec2dVec(v) => Value::Vec2Array(v.iter().map(|v| Vec2::new(single(v.x), single(v.y))).collect()),
-        V::Vec2iVec(v) => Value::Vec2Array(v.iter().map(|v| Vec2::new(v.x as f32, v.y as f32)).collect()),
-        V::Vec3hVec(v) => {
-            Value::Vec3Array(v.iter().map(|v| Vec3::new(v.x.to_f32(), v.y.to_f32(), v.z.to_f32())).collect())
-        }
+        V::Vec2dVec(v) => Value::Vec2Array(
+            v.iter()
+                .map(|v| Vec2::new(single(v.x), single(v.y)))
+                .collect(),
+        ),
+        V::Vec2iVec(v) => Value::Vec2Array(
+            v.iter()
+                .map(|v| Vec2::new(v.x as f32, v.y as f32))
+                .collect(),
+        ),
+        V::Vec3hVec(v) => Value::Vec3Array(
+            v.iter()
+                .map(|v| Vec3::new(v.x.to_f32(), v.y.to_f32(), v.z.to_f32()))
+                .collect(),
+        ),
         V::Vec3fVec(v) => Value::Vec3Array(v.iter().map(|v| Vec3::new(v.x, v.y, v.z)).collect()),
-        V::Vec3dVec(v) => Value::Vec3Array(v.iter().map(|v| DVec3::new(v.x, v.y, v.z).as_vec3()).collect()),
-        V::Vec3iVec(v) => Value::Vec3Array(v.iter().map(|v| glam::IVec3::new(v.x, v.y, v.z).as_vec3()).collect()),
+        V::Vec3dVec(v) => Value::Vec3Array(
+            v.iter()
+                .map(|v| DVec3::new(v.x, v.y, v.z).as_vec3())
+                .collect(),
+        ),
+        V::Vec3iVec(v) => Value::Vec3Array(
+            v.iter()
+                .map(|v| glam::IVec3::new(v.x, v.y, v.z).as_vec3())
+                .collect(),
+        ),
         V::Vec4hVec(v) => Value::Vec4Array(
-            v.iter().map(|v| Vec4::new(v.x.to_f32(), v.y.to_f32(), v.z.to_f32(), v.w.to_f32())).collect(),
+            v.iter()
+                .map(|v| Vec4::new(v.x.to_f32(), v.y.to_f32(), v.z.to_f32(), v.w.to_f32()))
+                .collect(),
         ),
-        V::Vec4fVec(v) => Value::Vec4Array(v.iter().map(|v| Vec4::new(v.x, v.y, v.z, v.w)).collect()),
-        V::Vec4dVec(v) => Value::Vec4Array(v.iter().map(|v| DVec4::new(v.x, v.y, v.z, v.w).as_vec4()).collect()),
-        V::Vec4iVec(v) => {
-            Value::Vec4Array(v.iter().map(|v| glam::IVec4::new(v.x, v.y, v.z, v.w).as_vec4()).collect())
+        V::Vec4fVec(v) => {
+            Value::Vec4Array(v.iter().map(|v| Vec4::new(v.x, v.y, v.z, v.w)).collect())
         }
-        V::QuathVec(v) => Value::QuatArray(
-            v.iter().map(|q| Vec4::new(q.x.to_f32(), q.y.to_f32(), q.z.to_f32(), q.w.to_f32())).collect(),
+        V::Vec4dVec(v) => Value::Vec4Array(
+            v.iter()
+                .map(|v| DVec4::new(v.x, v.y, v.z, v.w).as_vec4())
+                .collect(),
         ),
-        V::QuatfVec(v) => Value::QuatArray(v.iter().map(|q| Vec4::new(q.x, q.y, q.z, q.w)).collect()),
-        V::QuatdVec(v) => Value::QuatArray(v.iter().map(|q| DVec4::new(q.x, q.y, q.z, q.w).as_vec4()).collect()),
+        V::Vec4iVec(v) => Value::Vec4Array(
+            v.iter()
+                .map(|v| glam::IVec4::new(v.x, v.y, v.z, v.w).as_vec4())
+                .collect(),
+        ),
+        V::QuathVec(v) => Value::QuatArray(
+            v.iter()
+                .map(|q| Vec4::new(q.x.to_f32(), q.y.to_f32(), q.z.to_f32(), q.w.to_f32()))
+                .collect(),
+        ),
+        V::QuatfVec(v) => {
+            Value::QuatArray(v.iter().map(|q| Vec4::new(q.x, q.y, q.z, q.w)).collect())
+        }
+        V::QuatdVec(v) => Value::QuatArray(
+            v.iter()
+                .map(|q| DVec4::new(q.x, q.y, q.z, q.w).as_vec4())
+                .collect(),
+        ),
         _ => return None,
     })
 }
@@ -185,7 +279,10 @@ fn matrix(m: &gf::Matrix4d) -> DMat4 {
     DMat4::from_cols_array(&m.0)
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "arrays are kept in single precision")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "arrays are kept in single precision"
+)]
 pub(super) fn single(x: f64) -> f32 {
     x as f32
 }
@@ -208,25 +305,40 @@ mod tests {
         let Some(Value::Matrix(matrix)) = plain(&sdf::Value::Matrix4d(gf::Matrix4d(rows))) else {
             panic!("a matrix");
         };
-        assert_eq!(matrix.transform_point3(DVec3::ZERO), DVec3::new(1.0, 2.0, 3.0));
+        assert_eq!(
+            matrix.transform_point3(DVec3::ZERO),
+            DVec3::new(1.0, 2.0, 3.0)
+        );
     }
 
     #[test]
     fn quaternions_have_the_real_part_last() {
         let quat = sdf::Value::QuatfVec(vec![gf::quatf(1.0, 2.0, 3.0, 4.0)]);
-        assert_eq!(plain(&quat), Some(Value::QuatArray(vec![Vec4::new(2.0, 3.0, 4.0, 1.0)])));
+        assert_eq!(
+            plain(&quat),
+            Some(Value::QuatArray(vec![Vec4::new(2.0, 3.0, 4.0, 1.0)]))
+        );
     }
 
     #[test]
     fn unsigned_and_boolean_arrays_are_integer_arrays() {
-        assert_eq!(plain(&sdf::Value::BoolVec(vec![true, false])), Some(Value::IntArray(vec![1, 0])));
-        assert_eq!(plain(&sdf::Value::UintVec(vec![7])), Some(Value::IntArray(vec![7])));
+        assert_eq!(
+            plain(&sdf::Value::BoolVec(vec![true, false])),
+            Some(Value::IntArray(vec![1, 0]))
+        );
+        assert_eq!(
+            plain(&sdf::Value::UintVec(vec![7])),
+            Some(Value::IntArray(vec![7]))
+        );
         assert_eq!(plain(&sdf::Value::ValueBlock), None);
     }
 
     #[test]
     fn rounding_gives_what_the_width_can_hold() {
-        assert_eq!(Precision::Half.round(1.0 / 3.0), half::f16::from_f64(1.0 / 3.0).to_f64());
+        assert_eq!(
+            Precision::Half.round(1.0 / 3.0),
+            half::f16::from_f64(1.0 / 3.0).to_f64()
+        );
         assert_eq!(Precision::Single.round(0.1), f64::from(0.1_f32));
         assert_eq!(Precision::Double.round(0.1), 0.1);
     }

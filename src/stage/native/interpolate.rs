@@ -36,13 +36,17 @@ impl Samples<'_> {
         let after = samples.partition_point(|(sample, _)| *sample <= time);
         let (before_time, before) = samples.get(after.saturating_sub(1))?;
         let (low, precision) = self.read(before)?;
-        let next = samples.get(after).filter(|_| after > 0 && *before_time < time);
+        let next = samples
+            .get(after)
+            .filter(|_| after > 0 && *before_time < time);
         let (Some((after_time, next)), Some(precision)) = (next, precision) else {
             return Some(low);
         };
         let alpha = (time - before_time) / (after_time - before_time);
         match self.read(next) {
-            Some((high, same)) if same == Some(precision) => Some(mix(low, &high, alpha, precision)),
+            Some((high, same)) if same == Some(precision) => {
+                Some(mix(low, &high, alpha, precision))
+            }
             _ => Some(low),
         }
     }
@@ -59,13 +63,20 @@ fn mix(low: Value, high: &Value, alpha: f64, precision: Precision) -> Value {
     let two = |a: f32, b: f32| single(one(f64::from(a), f64::from(b)));
     match (&low, high) {
         (Value::Float(a), Value::Float(b)) => Value::Float(one(*a, *b)),
-        (Value::Vec2(a), Value::Vec2(b)) => Value::Vec2(glam::DVec2::new(one(a.x, b.x), one(a.y, b.y))),
-        (Value::Vec3(a), Value::Vec3(b)) => {
-            Value::Vec3(glam::DVec3::new(one(a.x, b.x), one(a.y, b.y), one(a.z, b.z)))
+        (Value::Vec2(a), Value::Vec2(b)) => {
+            Value::Vec2(glam::DVec2::new(one(a.x, b.x), one(a.y, b.y)))
         }
-        (Value::Vec4(a), Value::Vec4(b)) => {
-            Value::Vec4(DVec4::new(one(a.x, b.x), one(a.y, b.y), one(a.z, b.z), one(a.w, b.w)))
-        }
+        (Value::Vec3(a), Value::Vec3(b)) => Value::Vec3(glam::DVec3::new(
+            one(a.x, b.x),
+            one(a.y, b.y),
+            one(a.z, b.z),
+        )),
+        (Value::Vec4(a), Value::Vec4(b)) => Value::Vec4(DVec4::new(
+            one(a.x, b.x),
+            one(a.y, b.y),
+            one(a.z, b.z),
+            one(a.w, b.w),
+        )),
         (Value::Quat(a), Value::Quat(b)) => Value::Quat(rounded(slerp(*a, *b, alpha), precision)),
         (Value::Matrix(a), Value::Matrix(b)) => Value::Matrix(mix_matrix(a, b, alpha)),
         (Value::FloatArray(a), Value::FloatArray(b)) if a.len() == b.len() => {
@@ -75,14 +86,22 @@ fn mix(low: Value, high: &Value, alpha: f64, precision: Precision) -> Value {
             Value::Vec2Array(zip(a, b, |a, b| Vec2::new(two(a.x, b.x), two(a.y, b.y))))
         }
         (Value::Vec3Array(a), Value::Vec3Array(b)) if a.len() == b.len() => {
-            Value::Vec3Array(zip(a, b, |a, b| Vec3::new(two(a.x, b.x), two(a.y, b.y), two(a.z, b.z))))
+            Value::Vec3Array(zip(a, b, |a, b| {
+                Vec3::new(two(a.x, b.x), two(a.y, b.y), two(a.z, b.z))
+            }))
         }
-        (Value::Vec4Array(a), Value::Vec4Array(b)) if a.len() == b.len() => Value::Vec4Array(zip(a, b, |a, b| {
-            Vec4::new(two(a.x, b.x), two(a.y, b.y), two(a.z, b.z), two(a.w, b.w))
-        })),
+        (Value::Vec4Array(a), Value::Vec4Array(b)) if a.len() == b.len() => {
+            Value::Vec4Array(zip(a, b, |a, b| {
+                Vec4::new(two(a.x, b.x), two(a.y, b.y), two(a.z, b.z), two(a.w, b.w))
+            }))
+        }
         (Value::QuatArray(a), Value::QuatArray(b)) if a.len() == b.len() => {
             Value::QuatArray(zip(a, b, |a, b| {
-                let turned = slerp(DQuat::from_vec4(a.as_dvec4()), DQuat::from_vec4(b.as_dvec4()), alpha);
+                let turned = slerp(
+                    DQuat::from_vec4(a.as_dvec4()),
+                    DQuat::from_vec4(b.as_dvec4()),
+                    alpha,
+                );
                 DVec4::from(rounded(turned, precision)).as_vec4()
             }))
         }
@@ -113,7 +132,10 @@ fn slerp(a: DQuat, b: DQuat, alpha: f64) -> DQuat {
     let (of_a, of_b) = if 1.0 - cosine > NEARLY_PARALLEL {
         let angle = cosine.acos();
         let scale = angle.sin().recip();
-        (((1.0 - alpha) * angle).sin() * scale, (alpha * angle).sin() * scale)
+        (
+            ((1.0 - alpha) * angle).sin() * scale,
+            (alpha * angle).sin() * scale,
+        )
     } else {
         (1.0 - alpha, alpha)
     };
@@ -136,9 +158,22 @@ mod tests {
 
     #[test]
     fn numbers_are_linear_between_samples_and_held_outside() {
-        let samples = vec![(1.0, sdf::Value::Double(10.0)), (3.0, sdf::Value::Double(30.0))];
-        for (time, truth) in [(0.0, 10.0), (1.0, 10.0), (1.5, 15.0), (3.0, 30.0), (9.0, 30.0)] {
-            assert_eq!(at_time(&samples, time), Some(Value::Float(truth)), "at {time}");
+        let samples = vec![
+            (1.0, sdf::Value::Double(10.0)),
+            (3.0, sdf::Value::Double(30.0)),
+        ];
+        for (time, truth) in [
+            (0.0, 10.0),
+            (1.0, 10.0),
+            (1.5, 15.0),
+            (3.0, 30.0),
+            (9.0, 30.0),
+        ] {
+            assert_eq!(
+                at_time(&samples, time),
+                Some(Value::Float(truth)),
+                "at {time}"
+            );
         }
     }
 

@@ -3,7 +3,7 @@
 
 use super::package::Package;
 use super::{crate_check, text};
-use openusd::ar::{self, Asset, Resolver, ResolvedPath};
+use openusd::ar::{self, Asset, ResolvedPath, Resolver};
 use std::cell::RefCell;
 use std::collections::HashMap;
 use std::io::{self, Cursor};
@@ -98,7 +98,11 @@ impl LayerFiles {
                 return beside;
             }
             let at_root = ar::join_package_relative_path(&package, &normalized(Path::new(asset)));
-            return if self.exists(&at_root) { at_root } else { beside };
+            return if self.exists(&at_root) {
+                at_root
+            } else {
+                beside
+            };
         }
         let folder = Path::new(anchor).parent().unwrap_or(Path::new(""));
         let beside = normalized(&folder.join(asset));
@@ -110,7 +114,10 @@ impl LayerFiles {
 
     /// `asset` in the working directory or the search path.
     fn searched(&self, asset: &str) -> Option<String> {
-        let candidates = self.search.iter().map(|folder| normalized(&folder.join(asset)));
+        let candidates = self
+            .search
+            .iter()
+            .map(|folder| normalized(&folder.join(asset)));
         let mut existing = candidates.filter(|path| match path.contains(UDIM) {
             true => self.has_tile(path),
             false => self.exists(path),
@@ -232,22 +239,30 @@ fn normalized(path: &Path) -> String {
 }
 
 fn folder_has_tile(pattern: &Path) -> bool {
-    let (Some(folder), Some(name)) = (pattern.parent(), pattern.file_name().and_then(|n| n.to_str())) else {
+    let (Some(folder), Some(name)) = (
+        pattern.parent(),
+        pattern.file_name().and_then(|n| n.to_str()),
+    ) else {
         return false;
     };
     let Ok(entries) = std::fs::read_dir(folder) else {
         return false;
     };
-    entries
-        .flatten()
-        .any(|entry| entry.file_name().to_str().is_some_and(|file| is_tile(name, file)))
+    entries.flatten().any(|entry| {
+        entry
+            .file_name()
+            .to_str()
+            .is_some_and(|file| is_tile(name, file))
+    })
 }
 
 fn is_tile(pattern: &str, name: &str) -> bool {
     let Some((before, after)) = pattern.split_once(UDIM) else {
         return false;
     };
-    let tile = name.strip_prefix(before).and_then(|rest| rest.strip_suffix(after));
+    let tile = name
+        .strip_prefix(before)
+        .and_then(|rest| rest.strip_suffix(after));
     tile.is_some_and(|tile| tile.len() == 4 && tile.bytes().all(|byte| byte.is_ascii_digit()))
 }
 
@@ -282,10 +297,19 @@ mod tests {
         files.search = vec![root.join("lib")];
         let layer = root.join("show/shot/a.usda").to_string_lossy().into_owned();
         let expect = |name: &str| root.join(name).to_string_lossy().into_owned();
-        assert_eq!(files.resolve_value("../near.png", &layer), expect("show/near.png"));
-        assert_eq!(files.resolve_value("far.png", &layer), expect("lib/far.png"));
+        assert_eq!(
+            files.resolve_value("../near.png", &layer),
+            expect("show/near.png")
+        );
+        assert_eq!(
+            files.resolve_value("far.png", &layer),
+            expect("lib/far.png")
+        );
         assert_eq!(files.resolve_value("./far.png", &layer), "");
-        assert_eq!(files.resolve_value("../t.<UDIM>.png", &layer), expect("show/t.<UDIM>.png"));
+        assert_eq!(
+            files.resolve_value("../t.<UDIM>.png", &layer),
+            expect("show/t.<UDIM>.png")
+        );
         assert_eq!(files.resolve_value("../u.<UDIM>.png", &layer), "");
     }
 }

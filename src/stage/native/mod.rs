@@ -7,6 +7,7 @@
 mod complaints;
 mod convert;
 mod crate_check;
+mod crate_values;
 mod interpolate;
 mod layer_files;
 mod package;

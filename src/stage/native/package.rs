@@ -81,7 +81,9 @@ impl Package {
             .get(name)
             .ok_or_else(|| damaged(&format!("no file {name} in the package")))?;
         if entry.method != 0 {
-            return Err(damaged(&format!("{name} is compressed, but files in a usdz must be stored")));
+            return Err(damaged(&format!(
+                "{name} is compressed, but files in a usdz must be stored"
+            )));
         }
         let mut file = File::open(&self.path)?;
         let length = file.metadata()?.len();
@@ -90,12 +92,16 @@ impl Package {
         if header[..4] != LOCAL_SIGNATURE {
             return Err(damaged(&format!("{name} has no header")));
         }
-        let skip = LOCAL_BYTES as u64 + u64::from(u16_at(&header, 26)) + u64::from(u16_at(&header, 28));
+        let skip =
+            LOCAL_BYTES as u64 + u64::from(u16_at(&header, 26)) + u64::from(u16_at(&header, 28));
         read_at(&mut file, start + skip, u64::from(entry.size), length)
     }
 }
 
-fn entries(directory: &[u8], count: usize) -> io::Result<(BTreeMap<String, Entry>, Option<String>)> {
+fn entries(
+    directory: &[u8],
+    count: usize,
+) -> io::Result<(BTreeMap<String, Entry>, Option<String>)> {
     let mut entries = BTreeMap::new();
     let mut first_layer = None;
     let mut rest = directory;
@@ -109,7 +115,11 @@ fn entries(directory: &[u8], count: usize) -> io::Result<(BTreeMap<String, Entry
             .get(ENTRY_BYTES..ENTRY_BYTES + name_length)
             .and_then(|name| std::str::from_utf8(name).ok())
             .ok_or_else(|| damaged("the zip directory has a bad file name"))?;
-        if first_layer.is_none() && [".usd", ".usda", ".usdc"].iter().any(|end| name.ends_with(end)) {
+        if first_layer.is_none()
+            && [".usd", ".usda", ".usdc"]
+                .iter()
+                .any(|end| name.ends_with(end))
+        {
             first_layer = Some(name.to_owned());
         }
         let entry = Entry {
@@ -118,7 +128,9 @@ fn entries(directory: &[u8], count: usize) -> io::Result<(BTreeMap<String, Entry
             header: u32_at(rest, 42),
         };
         entries.insert(name.to_owned(), entry);
-        rest = rest.get(ENTRY_BYTES + name_length + more..).unwrap_or_default();
+        rest = rest
+            .get(ENTRY_BYTES + name_length + more..)
+            .unwrap_or_default();
     }
     Ok((entries, first_layer))
 }
@@ -175,7 +187,11 @@ mod tests {
         let cut = folder.path().join("cut.usdz");
         for length in 0..bytes.len() {
             std::fs::write(&cut, &bytes[..length]).unwrap();
-            assert!(Package::open(&cut).is_err(), "{length} bytes of {}", bytes.len());
+            assert!(
+                Package::open(&cut).is_err(),
+                "{length} bytes of {}",
+                bytes.len()
+            );
         }
     }
 }

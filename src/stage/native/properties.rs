@@ -55,7 +55,9 @@ impl Sites {
                 let Some(layer) = stage.layer_identifier(id) else {
                     continue;
                 };
-                let authored = stage.layer(&layer).is_some_and(|layer| layer.data().has_spec(node.path()));
+                let authored = stage
+                    .layer(&layer)
+                    .is_some_and(|layer| layer.data().has_spec(node.path()));
                 if authored {
                     sites.push(Site {
                         layer,
@@ -69,7 +71,11 @@ impl Sites {
     }
 
     /// The strongest opinion of the prim's `field`.
-    pub(super) fn prim_field(&self, stage: &Stage, field: &str) -> Result<Option<sdf::Value>, Fault> {
+    pub(super) fn prim_field(
+        &self,
+        stage: &Stage,
+        field: &str,
+    ) -> Result<Option<sdf::Value>, Fault> {
         for opinions in self.borrow(stage) {
             if let Some(value) = opinions.field(&opinions.site.path, field)? {
                 return Ok(Some(value.into_owned()));
@@ -96,7 +102,9 @@ impl Opinions<'_> {
     /// `value` in stage time, if it is a time.
     fn retimed(&self, value: Value, type_name: &str) -> Value {
         match value {
-            Value::Float(time) if type_name == "timecode" => Value::Float(self.site.offset.apply(time)),
+            Value::Float(time) if type_name == "timecode" => {
+                Value::Float(self.site.offset.apply(time))
+            }
             other => other,
         }
     }
@@ -105,7 +113,11 @@ impl Opinions<'_> {
         self.layer.data()
     }
 
-    fn field(&self, path: &sdf::Path, field: &str) -> Result<Option<std::borrow::Cow<'_, sdf::Value>>, Fault> {
+    fn field(
+        &self,
+        path: &sdf::Path,
+        field: &str,
+    ) -> Result<Option<std::borrow::Cow<'_, sdf::Value>>, Fault> {
         self.data().try_field(path, field).map_err(|error| {
             let error = anyhow::Error::new(error);
             Fault::new(&self.site.layer, format!("{error:#}"))
@@ -140,7 +152,13 @@ impl<'a> Properties<'a> {
     }
 
     /// Fill `prim` with the properties at `path`. `clips`: value clips are in reach of it.
-    pub(super) fn read(&self, path: &sdf::Path, sites: &Sites, clips: bool, prim: &mut RawPrim) -> Result<(), Fault> {
+    pub(super) fn read(
+        &self,
+        path: &sdf::Path,
+        sites: &Sites,
+        clips: bool,
+        prim: &mut RawPrim,
+    ) -> Result<(), Fault> {
         let names = self.stage.prim(path.clone()).property_names();
         let names = names.map_err(|error| sites.fault(&error))?;
         let mut connected = Vec::new();
@@ -162,7 +180,9 @@ impl<'a> Properties<'a> {
                     }
                     Some(SpecType::Attribute) if self.request.wants(name.as_str()) => {
                         let attribute = self.attribute(name.as_str(), &specs)?;
-                        if specs.iter().any(|(o, at)| o.data().has_field(at, FieldKey::ConnectionPaths.as_str())) {
+                        if specs.iter().any(|(o, at)| {
+                            o.data().has_field(at, FieldKey::ConnectionPaths.as_str())
+                        }) {
                             connected.push(name.to_string());
                         }
                         prim.attributes.insert(name.to_string(), attribute);
@@ -179,7 +199,13 @@ impl<'a> Properties<'a> {
     }
 
     /// Targets and connections; apart from the rest because composing them may load layers.
-    fn targets(&self, path: &sdf::Path, sites: &Sites, connected: &[String], prim: &mut RawPrim) -> Result<(), Fault> {
+    fn targets(
+        &self,
+        path: &sdf::Path,
+        sites: &Sites,
+        connected: &[String],
+        prim: &mut RawPrim,
+    ) -> Result<(), Fault> {
         for (name, relationship) in &mut prim.relationships {
             let handle = self.stage.prim(path.clone()).relationship(name.as_str());
             let targets = handle.targets().map_err(|error| sites.fault(&error))?;
@@ -218,7 +244,11 @@ impl<'a> Properties<'a> {
         let mut decided = false;
         for (opinions, at) in specs {
             let resolve = |authored: &str| self.files.resolve_value(authored, &opinions.site.layer);
-            if !decided && opinions.data().has_field(at, FieldKey::TimeSamples.as_str()) {
+            if !decided
+                && opinions
+                    .data()
+                    .has_field(at, FieldKey::TimeSamples.as_str())
+            {
                 let samples = opinions.field(at, FieldKey::TimeSamples.as_str())?;
                 if let Some(sdf::Value::TimeSamples(samples)) = samples.as_deref() {
                     decided = true;
@@ -230,13 +260,17 @@ impl<'a> Properties<'a> {
                             resolve: &resolve,
                         };
                         let value = samples.at(opinions.site.offset.inverse().apply(time));
-                        attribute.value = value.map(|value| opinions.retimed(value, &attribute.type_name));
+                        attribute.value =
+                            value.map(|value| opinions.retimed(value, &attribute.type_name));
                         return Ok(());
                     }
                 }
             }
             if !decided && self.request.time.is_some() && opinions.data().has_field(at, "spline") {
-                return Err(Fault::new(&opinions.site.layer, format!("{at} is a spline, which is not supported")));
+                return Err(Fault::new(
+                    &opinions.site.layer,
+                    format!("{at} is a spline, which is not supported"),
+                ));
             }
             if let Some(default) = opinions.field(at, FieldKey::Default.as_str())? {
                 let value = convert::value(&default, &resolve);
@@ -260,12 +294,19 @@ impl<'a> Properties<'a> {
         Ok(())
     }
 
-    fn clip(&self, handle: &Attribute, sites: &Sites, attribute: &mut RawAttribute) -> anyhow::Result<()> {
+    fn clip(
+        &self,
+        handle: &Attribute,
+        sites: &Sites,
+        attribute: &mut RawAttribute,
+    ) -> anyhow::Result<()> {
         attribute.varying = handle.value_might_be_time_varying()?;
         let Some(time) = self.request.time else {
             return Ok(());
         };
-        let (before, after) = handle.bracketing_time_samples(time)?.unwrap_or((time, time));
+        let (before, after) = handle
+            .bracketing_time_samples(time)?
+            .unwrap_or((time, time));
         let mut samples = Vec::new();
         for at in [before, after] {
             let value = handle.get_at::<sdf::Value>(TimeCode::new(at))?;
@@ -299,11 +340,19 @@ impl InstanceKey {
     /// The key of the instance at `path`.
     pub(super) fn of(stage: &Stage, path: &sdf::Path) -> anyhow::Result<Self> {
         let index = stage.prim_index(path.clone()).graph()?;
-        let nodes = index.nodes().filter(|node| node.has_specs() && is_own(&index, node));
+        let nodes = index
+            .nodes()
+            .filter(|node| node.has_specs() && is_own(&index, node));
         let parts = nodes.map(|node| {
             let offset = node.map_to_root().time_offset();
             let (layer, path) = (node.layer_id(), node.path().to_string());
-            (node.arc(), layer, path, offset.offset.to_bits(), offset.scale.to_bits())
+            (
+                node.arc(),
+                layer,
+                path,
+                offset.offset.to_bits(),
+                offset.scale.to_bits(),
+            )
         });
         Ok(Self(parts.collect()))
     }
@@ -314,7 +363,9 @@ fn is_own(index: &PrimIndex, node: &Node) -> bool {
     let mut at = Some(node);
     while let Some(node) = at {
         let parent = node.parent().map(|parent| index.node(parent));
-        if parent.is_some_and(|parent| parent.path().prim_element_count() <= usize::from(node.namespace_depth())) {
+        if parent.is_some_and(|parent| {
+            parent.path().prim_element_count() <= usize::from(node.namespace_depth())
+        }) {
             return true;
         }
         at = parent;

@@ -63,7 +63,9 @@ impl Session {
             builder = builder.mask(population(mask, &self.root)?);
         }
         let root = self.root.to_string_lossy();
-        let stage = builder.open(&root).map_err(|error| self.unreadable(&format!("{error:#}")))?;
+        let stage = builder
+            .open(&root)
+            .map_err(|error| self.unreadable(&format!("{error:#}")))?;
         let errors = stage.composition_errors();
         self.judge(&errors)?;
         self.open = Some((mask.to_vec(), stage.clone()));
@@ -90,7 +92,10 @@ impl Session {
     /// The error for a layer the crate gave up on: the last one it asked for.
     fn unreadable(&self, message: &str) -> Error {
         Error::Layer {
-            path: self.files.last_opened().unwrap_or_else(|| self.root.clone()),
+            path: self
+                .files
+                .last_opened()
+                .unwrap_or_else(|| self.root.clone()),
             message: format!("{message}; {OTHER_DOOR}"),
         }
     }
@@ -103,7 +108,9 @@ fn population(mask: &[String], root: &Path) -> Result<StagePopulationMask, Error
         let prim = prim.filter(|prim| prim.is_abs() && !prim.is_property_path());
         let prim = prim.ok_or_else(|| Error::Layer {
             path: root.to_owned(),
-            message: format!("population mask {path:?} is not an absolute prim path like /World/Hero"),
+            message: format!(
+                "population mask {path:?} is not an absolute prim path like /World/Hero"
+            ),
         })?;
         population.add_path(prim);
     }

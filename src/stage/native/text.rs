@@ -99,7 +99,9 @@ impl<'a> Scanner<'a> {
                 b'<' => self.skip_to(b'>'),
                 byte if byte.is_ascii_digit() => self.number(),
                 b'.' if self.peek(1).is_ascii_digit() => self.number(),
-                b'-' | b'+' if self.peek(1).is_ascii_digit() || self.peek(1) == b'.' => self.number(),
+                b'-' | b'+' if self.peek(1).is_ascii_digit() || self.peek(1) == b'.' => {
+                    self.number()
+                }
                 byte if is_name(byte) => self.name(),
                 byte => self.punctuation(byte)?,
             }
@@ -116,12 +118,18 @@ impl<'a> Scanner<'a> {
 
     fn skip_line(&mut self) {
         let rest = &self.bytes[self.at..];
-        self.at += rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len());
+        self.at += rest
+            .iter()
+            .position(|&byte| byte == b'\n')
+            .unwrap_or(rest.len());
     }
 
     fn skip_to(&mut self, end: u8) {
         let rest = &self.bytes[self.at..];
-        self.at += rest.iter().position(|&byte| byte == end).map_or(rest.len(), |at| at + 1);
+        self.at += rest
+            .iter()
+            .position(|&byte| byte == end)
+            .map_or(rest.len(), |at| at + 1);
         self.last = 0;
     }
 
@@ -143,7 +151,8 @@ impl<'a> Scanner<'a> {
         let width = if triple { 3 } else { 1 };
         self.at += width;
         while self.at < self.bytes.len() {
-            let ends = self.peek(0) == quote && (!triple || (self.peek(1) == quote && self.peek(2) == quote));
+            let ends = self.peek(0) == quote
+                && (!triple || (self.peek(1) == quote && self.peek(2) == quote));
             if ends {
                 break;
             }
@@ -155,7 +164,8 @@ impl<'a> Scanner<'a> {
         let content = self.text.get(inside).unwrap_or_default();
         if self.asset_expected || listed {
             let marks = if content.contains('@') { "@@@" } else { "@" };
-            self.edits.push((start..self.at, format!("{marks}{content}{marks}")));
+            self.edits
+                .push((start..self.at, format!("{marks}{content}{marks}")));
         } else if let Some(quoted) = content.contains('\\').then(|| unescaped(content)).flatten() {
             self.edits.push((start..self.at, quoted));
         }
@@ -165,14 +175,23 @@ impl<'a> Scanner<'a> {
 
     fn asset(&mut self) {
         let start = self.at;
-        let marks = if self.bytes[start..].starts_with(b"@@@") { "@@@" } else { "@" };
+        let marks = if self.bytes[start..].starts_with(b"@@@") {
+            "@@@"
+        } else {
+            "@"
+        };
         let inside = start + marks.len();
         let length = self.text[inside..].find(marks);
         let end = length.map_or(self.bytes.len(), |length| inside + length);
         self.at = (end + marks.len()).min(self.bytes.len());
-        let sampled = self.frames.last().is_some_and(|frame| frame.samples == Some(Declared::Asset));
+        let sampled = self
+            .frames
+            .last()
+            .is_some_and(|frame| frame.samples == Some(Declared::Asset));
         if sampled {
-            let quoted = self.text[inside..end].replace('\\', "\\\\").replace('"', "\\\"");
+            let quoted = self.text[inside..end]
+                .replace('\\', "\\\\")
+                .replace('"', "\\\"");
             self.edits.push((start..self.at, format!("\"{quoted}\"")));
         }
         self.asset_expected = false;
@@ -188,7 +207,11 @@ impl<'a> Scanner<'a> {
     }
 
     fn number(&mut self) {
-        let is_sample = self.last == b':' && self.frames.last().is_some_and(|f| f.samples == Some(Declared::Real));
+        let is_sample = self.last == b':'
+            && self
+                .frames
+                .last()
+                .is_some_and(|f| f.samples == Some(Declared::Real));
         if matches!(self.peek(0), b'-' | b'+') {
             self.at += 1;
         }
@@ -267,11 +290,17 @@ impl<'a> Scanner<'a> {
         let Some(Some(name)) = self.relationship.take() else {
             return Ok(());
         };
-        let frame = self.frames.last_mut().expect("the outermost frame is never popped");
+        let frame = self
+            .frames
+            .last_mut()
+            .expect("the outermost frame is never popped");
         match frame.relationships.insert(name.clone()) {
             true => Ok(()),
             false => {
-                let line = 1 + self.bytes[..self.at].iter().filter(|&&byte| byte == b'\n').count();
+                let line = 1 + self.bytes[..self.at]
+                    .iter()
+                    .filter(|&&byte| byte == b'\n')
+                    .count();
                 Err(format!(
                     "line {line}: several statements edit the targets of relationship {name} in one prim, \
                      which is not supported in text layers"
@@ -339,13 +368,25 @@ mod tests {
     #[test]
     fn numbers_get_the_digits_the_crate_wants() {
         assert_eq!(repair("a = .5"), "a = 0.5");
-        assert_eq!(repair("a = (-.5, 5., 2.e3, 1.5)"), "a = (-0.5, 5.0, 2.0e3, 1.5)");
-        assert_eq!(repair("inputs:a5.connect = </A.b5.c>"), "inputs:a5.connect = </A.b5.c>");
+        assert_eq!(
+            repair("a = (-.5, 5., 2.e3, 1.5)"),
+            "a = (-0.5, 5.0, 2.0e3, 1.5)"
+        );
+        assert_eq!(
+            repair("inputs:a5.connect = </A.b5.c>"),
+            "inputs:a5.connect = </A.b5.c>"
+        );
     }
 
     #[test]
     fn strings_paths_assets_and_comments_are_left_alone() {
-        for text in ["a = \"x .5 5. True\"", "a = '''it's .5'''", "@./.5@", "</A.5>", "# .5 5.\n"] {
+        for text in [
+            "a = \"x .5 5. True\"",
+            "a = '''it's .5'''",
+            "@./.5@",
+            "</A.5>",
+            "# .5 5.\n",
+        ] {
             assert_eq!(repaired(text).unwrap(), None, "{text}");
         }
     }
@@ -353,16 +394,31 @@ mod tests {
     #[test]
     fn quoted_asset_paths_become_asset_paths() {
         assert_eq!(repair("asset a = \"x.png\""), "asset a = @x.png@");
-        assert_eq!(repair("asset[] a = [\"x\", 'y@z']"), "asset[] a = [@x@, @@@y@z@@@]");
-        assert_eq!(repair("asset a = @x@ (doc = \"d\")"), "asset a = @x@ (doc = \"d\")");
-        assert_eq!(repair("asset a.timeSamples = { 0: @x@ }"), "asset a.timeSamples = { 0: \"x\" }");
-        assert_eq!(repair("asset a\nstring b = \"x\""), "asset a\nstring b = \"x\"");
+        assert_eq!(
+            repair("asset[] a = [\"x\", 'y@z']"),
+            "asset[] a = [@x@, @@@y@z@@@]"
+        );
+        assert_eq!(
+            repair("asset a = @x@ (doc = \"d\")"),
+            "asset a = @x@ (doc = \"d\")"
+        );
+        assert_eq!(
+            repair("asset a.timeSamples = { 0: @x@ }"),
+            "asset a.timeSamples = { 0: \"x\" }"
+        );
+        assert_eq!(
+            repair("asset a\nstring b = \"x\""),
+            "asset a\nstring b = \"x\""
+        );
     }
 
     #[test]
     fn whole_numbers_among_samples_of_reals_become_reals() {
         let text = "double a.timeSamples = { 0: 1, 5: -2.5 }\nint b.timeSamples = { 0: 1 }";
-        assert_eq!(repair(text), "double a.timeSamples = { 0: 1.0, 5: -2.5 }\nint b.timeSamples = { 0: 1 }");
+        assert_eq!(
+            repair(text),
+            "double a.timeSamples = { 0: 1.0, 5: -2.5 }\nint b.timeSamples = { 0: 1 }"
+        );
     }
 
     #[test]
@@ -382,7 +438,8 @@ mod tests {
     fn two_statements_for_one_relationship_are_refused() {
         let twice = "def \"P\" {\n prepend rel r = </A>\n append rel r = </B>\n}";
         assert!(repaired(twice).unwrap_err().contains("line 3"));
-        let apart = "def \"P\" {\n rel r = </A>\n def \"Q\" {\n rel r = </B>\n }\n rel s\n rel s = </C>\n}";
+        let apart =
+            "def \"P\" {\n rel r = </A>\n def \"Q\" {\n rel r = </B>\n }\n rel s\n rel s = </C>\n}";
         assert_eq!(repaired(apart).unwrap(), None);
     }
 

@@ -37,7 +37,12 @@ struct Pending {
 }
 
 impl<'a> Traversal<'a> {
-    pub(super) fn new(stage: &'a Stage, files: &'a LayerFiles, request: &'a Request, cancel: &'a CancelToken) -> Self {
+    pub(super) fn new(
+        stage: &'a Stage,
+        files: &'a LayerFiles,
+        request: &'a Request,
+        cancel: &'a CancelToken,
+    ) -> Self {
         Self {
             stage,
             properties: Properties::new(stage, files, request),
@@ -129,13 +134,16 @@ impl<'a> Traversal<'a> {
         self.prims.push(self.prim(next, &sites, clips)?);
         let prototype = handle.prototype().map_err(|error| sites.fault(&error))?;
         if let Some(prototype) = prototype.filter(|_| !next.root) {
-            let key = InstanceKey::of(self.stage, &next.path).map_err(|error| sites.fault(&error))?;
+            let key =
+                InstanceKey::of(self.stage, &next.path).map_err(|error| sites.fault(&error))?;
             let number = self.number(key, prototype);
             self.instances.push((index, number));
             return Ok(Vec::new());
         }
         let names = handle.child_names().map_err(|error| sites.fault(&error))?;
-        let children = names.iter().filter_map(|name| next.path.append_path(name.as_str()).ok());
+        let children = names
+            .iter()
+            .filter_map(|name| next.path.append_path(name.as_str()).ok());
         let child = |path| Pending {
             path,
             parent: Some(index),
@@ -158,7 +166,9 @@ impl<'a> Traversal<'a> {
         let schemas = self.stage.prim(next.path.clone()).api_schemas();
         let schemas = schemas.map_err(|error| sites.fault(&error))?;
         prim.api_schemas = schemas.iter().map(ToString::to_string).collect();
-        prim.type_name = self.prim_text(sites, FieldKey::TypeName)?.unwrap_or_default();
+        prim.type_name = self
+            .prim_text(sites, FieldKey::TypeName)?
+            .unwrap_or_default();
         prim.kind = self.prim_text(sites, FieldKey::Kind)?;
         self.properties.read(&next.path, sites, clips, &mut prim)?;
         Ok(prim)
@@ -231,7 +241,10 @@ fn meta(stage: &Stage, root: &Path) -> Result<RawMeta, Error> {
             Some(sdf::Value::Double(number)) => Some(number),
             Some(sdf::Value::Float(number)) => Some(f64::from(number)),
             Some(sdf::Value::Int(number)) => Some(f64::from(number)),
-            #[expect(clippy::cast_precision_loss, reason = "frames and units are small numbers")]
+            #[expect(
+                clippy::cast_precision_loss,
+                reason = "frames and units are small numbers"
+            )]
             Some(sdf::Value::Int64(number)) => Some(number as f64),
             _ => None,
         })
