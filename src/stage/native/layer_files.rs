@@ -1,0 +1,315 @@
+//! Asset paths → files, as Pixar's default resolver finds them, and files → layers the crate can be trusted with:
+//! text repaired ([`text`]), binary checked ([`crate_check`]), package entries read in place ([`package`]).
+
+use super::package::Package;
+use super::{crate_check, text};
+use openusd::ar::{self, Asset, ResolvedPath, Resolver};
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::io::{self, Cursor};
+use std::path::{Component, Path, PathBuf};
+use std::rc::Rc;
+
+/// Directories to look in, colon separated, the variable Pixar's default resolver reads.
+const SEARCH_PATH_VARIABLE: &str = "PXR_AR_DEFAULT_SEARCH_PATH";
+
+/// The placeholder of a tiled texture, standing for four digits.
+const UDIM: &str = "<UDIM>";
+
+/// First bytes of a binary layer.
+const CRATE_MAGIC: &[u8] = b"PXR-USDC";
+
+/// Finds and reads files. Remembers what exists: a stage asks for the same file for every prim that uses it.
+pub(super) struct LayerFiles {
+    search: Vec<PathBuf>,
+    existing: RefCell<HashMap<PathBuf, bool>>,
+    packages: RefCell<HashMap<PathBuf, Option<Rc<Package>>>>,
+    udims: RefCell<HashMap<String, bool>>,
+    last: RefCell<Option<PathBuf>>,
+}
+
+/// The same, as the resolver the crate's stage owns.
+pub(super) struct SharedFiles(pub(super) Rc<LayerFiles>);
+
+impl LayerFiles {
+    pub(super) fn new() -> Self {
+        let working = std::env::current_dir().into_iter();
+        let listed = std::env::var_os(SEARCH_PATH_VARIABLE).unwrap_or_default();
+        Self {
+            search: working.chain(std::env::split_paths(&listed)).collect(),
+            existing: RefCell::default(),
+            packages: RefCell::default(),
+            udims: RefCell::default(),
+            last: RefCell::default(),
+        }
+    }
+
+    /// The layer whose bytes were asked for last.
+    pub(super) fn last_opened(&self) -> Option<PathBuf> {
+        self.last.borrow().clone()
+    }
+
+    /// Absolute path of the asset `authored` in the layer `identifier`; empty if there is no such file. A path with
+    /// `<UDIM>` keeps it and counts as found if one tile exists.
+    pub(super) fn resolve_value(&self, authored: &str, identifier: &str) -> String {
+        if authored.is_empty() {
+            return String::new();
+        }
+        let anchor = self.real_path(identifier);
+        let path = self.anchored(authored, Some(&anchor));
+        let found = match path.contains(UDIM) {
+            true => self.has_tile(&path),
+            false => self.exists(&path),
+        };
+        if found { path } else { String::new() }
+    }
+
+    /// Where the relative paths of the layer `identifier` start: for a package, its first layer.
+    fn real_path(&self, identifier: &str) -> String {
+        if !is_package(identifier) {
+            return identifier.to_owned();
+        }
+        let package = self.package(Path::new(identifier));
+        match package.as_ref().and_then(|package| package.first_layer()) {
+            Some(inner) => ar::join_package_relative_path(identifier, inner),
+            None => identifier.to_owned(),
+        }
+    }
+
+    fn anchored(&self, asset: &str, anchor: Option<&str>) -> String {
+        if let Some((outer, inner)) = ar::split_package_relative_path_outer(asset) {
+            return ar::join_package_relative_path(&self.anchored(&outer, anchor), &inner);
+        }
+        let path = Path::new(asset);
+        if path.is_absolute() {
+            return normalized(path);
+        }
+        match anchor {
+            Some(anchor) => self.anchored_to(asset, anchor),
+            None => self.searched(asset).unwrap_or_else(|| asset.to_owned()),
+        }
+    }
+
+    fn anchored_to(&self, asset: &str, anchor: &str) -> String {
+        if let Some((package, layer)) = ar::split_package_relative_path_inner(anchor) {
+            let folder = Path::new(&layer).parent().unwrap_or(Path::new(""));
+            let beside = ar::join_package_relative_path(&package, &normalized(&folder.join(asset)));
+            if is_file_relative(asset) || self.exists(&beside) {
+                return beside;
+            }
+            let at_root = ar::join_package_relative_path(&package, &normalized(Path::new(asset)));
+            return if self.exists(&at_root) {
+                at_root
+            } else {
+                beside
+            };
+        }
+        let folder = Path::new(anchor).parent().unwrap_or(Path::new(""));
+        let beside = normalized(&folder.join(asset));
+        if is_file_relative(asset) || self.exists(&beside) {
+            return beside;
+        }
+        self.searched(asset).unwrap_or(beside)
+    }
+
+    /// `asset` in the working directory or the search path.
+    fn searched(&self, asset: &str) -> Option<String> {
+        let candidates = self
+            .search
+            .iter()
+            .map(|folder| normalized(&folder.join(asset)));
+        let mut existing = candidates.filter(|path| match path.contains(UDIM) {
+            true => self.has_tile(path),
+            false => self.exists(path),
+        });
+        existing.next()
+    }
+
+    fn exists(&self, path: &str) -> bool {
+        if let Some((package, inner)) = ar::split_package_relative_path_outer(path) {
+            let package = self.package(Path::new(&package));
+            return package.is_some_and(|package| package.has(&inner));
+        }
+        let path = PathBuf::from(path);
+        *self
+            .existing
+            .borrow_mut()
+            .entry(path)
+            .or_insert_with_key(|path| path.is_file())
+    }
+
+    fn package(&self, path: &Path) -> Option<Rc<Package>> {
+        if let Some(known) = self.packages.borrow().get(path) {
+            return known.clone();
+        }
+        let package = Package::open(path).ok().map(Rc::new);
+        self.packages
+            .borrow_mut()
+            .insert(path.to_owned(), package.clone());
+        package
+    }
+
+    /// True if a file differs from `pattern` only by four digits in place of `<UDIM>`.
+    fn has_tile(&self, pattern: &str) -> bool {
+        if let Some(known) = self.udims.borrow().get(pattern) {
+            return *known;
+        }
+        let found = match ar::split_package_relative_path_outer(pattern) {
+            Some((package, inner)) => {
+                let package = self.package(Path::new(&package));
+                package.is_some_and(|package| package.names().any(|name| is_tile(&inner, name)))
+            }
+            None => folder_has_tile(Path::new(pattern)),
+        };
+        self.udims.borrow_mut().insert(pattern.to_owned(), found);
+        found
+    }
+
+    fn read(&self, path: &str) -> io::Result<Vec<u8>> {
+        *self.last.borrow_mut() = Some(PathBuf::from(path));
+        if let Some((package, inner)) = ar::split_package_relative_path_outer(path) {
+            let package = Package::open(Path::new(&package))?;
+            return trusted(&inner, package.read(&inner)?);
+        }
+        trusted(path, std::fs::read(path)?)
+    }
+}
+
+impl Resolver for SharedFiles {
+    fn create_identifier(&self, asset_path: &str, anchor: Option<&ResolvedPath>) -> String {
+        if asset_path.is_empty() {
+            return String::new();
+        }
+        let anchor = anchor.map(|anchor| self.0.real_path(&anchor.to_string_lossy()));
+        self.0.anchored(asset_path, anchor.as_deref())
+    }
+
+    fn resolve(&self, asset_path: &str) -> Option<ResolvedPath> {
+        let found = !asset_path.is_empty() && self.0.exists(asset_path);
+        found.then(|| ResolvedPath::new(asset_path))
+    }
+
+    fn resolve_for_new_asset(&self, asset_path: &str) -> Option<ResolvedPath> {
+        Some(ResolvedPath::new(asset_path))
+    }
+
+    fn open_asset(&self, resolved_path: &ResolvedPath) -> io::Result<Box<dyn Asset>> {
+        let bytes = self.0.read(&resolved_path.to_string_lossy())?;
+        Ok(Box::new(Cursor::new(bytes)))
+    }
+}
+
+/// The bytes of the layer `name`, repaired or checked; other files as they are.
+fn trusted(name: &str, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
+    if is_package(name) {
+        return Ok(bytes);
+    }
+    if bytes.starts_with(CRATE_MAGIC) {
+        crate_check::check(&bytes).map_err(io::Error::other)?;
+        return Ok(bytes);
+    }
+    let text = String::from_utf8(bytes).map_err(io::Error::other)?;
+    let repaired = text::repaired(&text).map_err(io::Error::other)?;
+    Ok(repaired.unwrap_or(text).into_bytes())
+}
+
+fn is_package(path: &str) -> bool {
+    Path::new(path)
+        .extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("usdz"))
+}
+
+fn is_file_relative(asset: &str) -> bool {
+    asset.starts_with("./") || asset.starts_with("../")
+}
+
+/// `path` without `.` and `..`, forward slashes, no look at the file system: links stay as they are named.
+fn normalized(path: &Path) -> String {
+    let mut parts = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir if parts.file_name().is_some() => {
+                parts.pop();
+            }
+            other => parts.push(other),
+        }
+    }
+    parts.to_string_lossy().into_owned()
+}
+
+fn folder_has_tile(pattern: &Path) -> bool {
+    let (Some(folder), Some(name)) = (
+        pattern.parent(),
+        pattern.file_name().and_then(|n| n.to_str()),
+    ) else {
+        return false;
+    };
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return false;
+    };
+    entries.flatten().any(|entry| {
+        entry
+            .file_name()
+            .to_str()
+            .is_some_and(|file| is_tile(name, file))
+    })
+}
+
+fn is_tile(pattern: &str, name: &str) -> bool {
+    let Some((before, after)) = pattern.split_once(UDIM) else {
+        return false;
+    };
+    let tile = name
+        .strip_prefix(before)
+        .and_then(|rest| rest.strip_suffix(after));
+    tile.is_some_and(|tile| tile.len() == 4 && tile.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_normalized_without_the_file_system() {
+        assert_eq!(normalized(Path::new("/a/./b/../c.usd")), "/a/c.usd");
+        assert_eq!(normalized(Path::new("../c.usd")), "../c.usd");
+    }
+
+    #[test]
+    fn a_tile_has_four_digits_in_place_of_the_placeholder() {
+        assert!(is_tile("wood.<UDIM>.png", "wood.1011.png"));
+        assert!(!is_tile("wood.<UDIM>.png", "wood.101.png"));
+        assert!(!is_tile("wood.<UDIM>.png", "wood.10x1.png"));
+        assert!(!is_tile("wood.png", "wood.png"));
+    }
+
+    #[test]
+    fn relative_paths_start_at_the_layer_and_search_paths_fall_back_to_the_search_folders() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        std::fs::create_dir_all(root.join("show/shot")).unwrap();
+        std::fs::create_dir_all(root.join("lib")).unwrap();
+        std::fs::write(root.join("show/near.png"), "x").unwrap();
+        std::fs::write(root.join("lib/far.png"), "x").unwrap();
+        std::fs::write(root.join("show/t.1001.png"), "x").unwrap();
+        let mut files = LayerFiles::new();
+        files.search = vec![root.join("lib")];
+        let layer = root.join("show/shot/a.usda").to_string_lossy().into_owned();
+        let expect = |name: &str| root.join(name).to_string_lossy().into_owned();
+        assert_eq!(
+            files.resolve_value("../near.png", &layer),
+            expect("show/near.png")
+        );
+        assert_eq!(
+            files.resolve_value("far.png", &layer),
+            expect("lib/far.png")
+        );
+        assert_eq!(files.resolve_value("./far.png", &layer), "");
+        assert_eq!(
+            files.resolve_value("../t.<UDIM>.png", &layer),
+            expect("show/t.<UDIM>.png")
+        );
+        assert_eq!(files.resolve_value("../u.<UDIM>.png", &layer), "");
+    }
+}

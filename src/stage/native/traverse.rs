@@ -1,0 +1,268 @@
+//! The composed stage → [`RawStage`]: its prims depth first, then each prototype once.
+
+use super::OTHER_DOOR;
+use super::layer_files::LayerFiles;
+use super::properties::{Fault, InstanceKey, Properties, Sites, text};
+use crate::diagnostics::{CancelToken, Cancelled, Warning};
+use crate::stage::Error;
+use crate::stage::raw::{RawMeta, RawPrim, RawStage, Request};
+use openusd::sdf::{self, FieldKey};
+use openusd::usd::{ClipsAPI, Stage};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// One walk over a stage.
+pub(super) struct Traversal<'a> {
+    stage: &'a Stage,
+    properties: Properties<'a>,
+    request: &'a Request,
+    cancel: &'a CancelToken,
+    prims: Vec<RawPrim>,
+    /// Prototype roots in the order they were met, and the index each will have in `prims`.
+    prototypes: Vec<sdf::Path>,
+    /// Instances met (index in `prims`) with the prototype they need (index in `prototypes`).
+    instances: Vec<(usize, usize)>,
+    numbers: HashMap<InstanceKey, usize>,
+    warnings: Vec<Warning>,
+}
+
+/// A prim still to be visited.
+struct Pending {
+    path: sdf::Path,
+    parent: Option<usize>,
+    /// An ancestor has value clips.
+    clips: bool,
+    /// A prototype's root: always there, whatever its specifier.
+    root: bool,
+}
+
+impl<'a> Traversal<'a> {
+    pub(super) fn new(
+        stage: &'a Stage,
+        files: &'a LayerFiles,
+        request: &'a Request,
+        cancel: &'a CancelToken,
+    ) -> Self {
+        Self {
+            stage,
+            properties: Properties::new(stage, files, request),
+            request,
+            cancel,
+            prims: Vec::new(),
+            prototypes: Vec::new(),
+            instances: Vec::new(),
+            numbers: HashMap::new(),
+            warnings: Vec::new(),
+        }
+    }
+
+    /// Walk the stage of the root layer `root`.
+    ///
+    /// # Errors
+    /// Layers that cannot be read, features that are not supported, cancellation.
+    pub(super) fn run(mut self, root: &Path) -> Result<(RawStage, Vec<Warning>), Error> {
+        let roots = self.stage.root_prims().map_err(|error| Error::Layer {
+            path: root.to_owned(),
+            message: format!("{error:#}; {OTHER_DOOR}"),
+        })?;
+        let pending = roots.iter().rev().filter_map(|name| {
+            let path = sdf::Path::abs_root().append_path(name.as_str()).ok()?;
+            Some(Pending {
+                path,
+                parent: None,
+                clips: false,
+                root: false,
+            })
+        });
+        let pending = pending.collect();
+        self.walk(pending)?;
+        let prototype_start = self.prims.len();
+        let roots = self.walk_prototypes()?;
+        for (instance, prototype) in self.instances {
+            self.prims[instance].prototype = Some(roots[prototype]);
+        }
+        let raw = RawStage {
+            meta: meta(self.stage, root)?,
+            prims: self.prims,
+            prototype_start,
+        };
+        Ok((raw, self.warnings))
+    }
+
+    /// Walk every prototype, those met on the way too; the index of each one's root.
+    fn walk_prototypes(&mut self) -> Result<Vec<usize>, Error> {
+        let mut roots = Vec::new();
+        while let Some(path) = self.prototypes.get(roots.len()).cloned() {
+            roots.push(self.prims.len());
+            self.walk(vec![Pending {
+                path,
+                parent: None,
+                clips: false,
+                root: true,
+            }])?;
+        }
+        Ok(roots)
+    }
+
+    fn walk(&mut self, mut pending: Vec<Pending>) -> Result<(), Error> {
+        while let Some(next) = pending.pop() {
+            if self.cancel.is_cancelled() {
+                return Err(Cancelled.into());
+            }
+            let children = self.visit(&next).map_err(refused)?;
+            pending.extend(children.into_iter().rev());
+        }
+        Ok(())
+    }
+
+    /// Add the prim, if it is to be seen, and return its children.
+    fn visit(&mut self, next: &Pending) -> Result<Vec<Pending>, Fault> {
+        let sites = Sites::of(self.stage, &next.path).map_err(|error| Fault {
+            layer: String::new(),
+            message: format!("{}: {error:#}", next.path),
+        })?;
+        if !self.is_seen(next, &sites)? {
+            return Ok(Vec::new());
+        }
+        let handle = self.stage.prim(next.path.clone());
+        let own_clips = sites.has_prim_field(self.stage, FieldKey::Clips.as_str());
+        if own_clips && self.request.time.is_some() {
+            self.check_clips(next, &sites)?;
+        }
+        let clips = next.clips || own_clips;
+        let index = self.prims.len();
+        self.prims.push(self.prim(next, &sites, clips)?);
+        let prototype = handle.prototype().map_err(|error| sites.fault(&error))?;
+        if let Some(prototype) = prototype.filter(|_| !next.root) {
+            let key =
+                InstanceKey::of(self.stage, &next.path).map_err(|error| sites.fault(&error))?;
+            let number = self.number(key, prototype);
+            self.instances.push((index, number));
+            return Ok(Vec::new());
+        }
+        let names = handle.child_names().map_err(|error| sites.fault(&error))?;
+        let children = names
+            .iter()
+            .filter_map(|name| next.path.append_path(name.as_str()).ok());
+        let child = |path| Pending {
+            path,
+            parent: Some(index),
+            clips,
+            root: false,
+        };
+        Ok(children.map(child).collect())
+    }
+
+    /// The prim itself. A prototype's root is bare: what it holds belongs to the instances, which have it too.
+    fn prim(&self, next: &Pending, sites: &Sites, clips: bool) -> Result<RawPrim, Fault> {
+        let mut prim = RawPrim {
+            path: next.path.to_string(),
+            parent: next.parent,
+            ..RawPrim::default()
+        };
+        if next.root {
+            return Ok(prim);
+        }
+        let schemas = self.stage.prim(next.path.clone()).api_schemas();
+        let schemas = schemas.map_err(|error| sites.fault(&error))?;
+        prim.api_schemas = schemas.iter().map(ToString::to_string).collect();
+        prim.type_name = self
+            .prim_text(sites, FieldKey::TypeName)?
+            .unwrap_or_default();
+        prim.kind = self.prim_text(sites, FieldKey::Kind)?;
+        self.properties.read(&next.path, sites, clips, &mut prim)?;
+        Ok(prim)
+    }
+
+    /// Active, defined and not abstract. (Payloads are all loaded.) Ancestors have been asked before.
+    fn is_seen(&self, next: &Pending, sites: &Sites) -> Result<bool, Fault> {
+        if next.root {
+            return Ok(true);
+        }
+        let active = sites.prim_field(self.stage, FieldKey::Active.as_str())?;
+        if active == Some(sdf::Value::Bool(false)) {
+            return Ok(false);
+        }
+        let specifier = self.stage.prim(next.path.clone()).specifier();
+        let specifier = specifier.map_err(|error| sites.fault(&error))?;
+        Ok(specifier == Some(sdf::Specifier::Def))
+    }
+
+    fn prim_text(&self, sites: &Sites, field: FieldKey) -> Result<Option<String>, Fault> {
+        Ok(sites.prim_field(self.stage, field.as_str())?.and_then(text))
+    }
+
+    fn number(&mut self, key: InstanceKey, prototype: sdf::Path) -> usize {
+        let next = self.prototypes.len();
+        let number = *self.numbers.entry(key).or_insert(next);
+        if number == next {
+            self.prototypes.push(prototype);
+        }
+        number
+    }
+
+    /// One plain set of value clips is read like Pixar does; of several, the crate may take the wrong one.
+    fn check_clips(&self, next: &Pending, sites: &Sites) -> Result<(), Fault> {
+        let sets = self.stage.prim(next.path.clone()).clip_sets();
+        let sets = sets.map_err(|error| sites.fault(&error))?;
+        let clips = ClipsAPI::new(&self.stage.prim(next.path.clone()));
+        let mut plain = sets.len() <= 1 && !next.clips;
+        for set in &sets {
+            let missing = clips.interpolate_missing_clip_values(set);
+            plain &= missing.map_err(|error| sites.fault(&error))? != Some(true);
+        }
+        if plain {
+            return Ok(());
+        }
+        let error = anyhow::anyhow!(
+            "{}: of value clips, only a single set without interpolateMissingClipValues is supported",
+            next.path
+        );
+        Err(sites.fault(&error))
+    }
+}
+
+fn refused(fault: Fault) -> Error {
+    Error::Layer {
+        path: PathBuf::from(fault.layer),
+        message: format!("{}; {OTHER_DOOR}", fault.message),
+    }
+}
+
+fn meta(stage: &Stage, root: &Path) -> Result<RawMeta, Error> {
+    let field = |name: &str| {
+        stage.stage_metadata(name).map_err(|error| Error::Layer {
+            path: root.to_owned(),
+            message: format!("{error:#}; {OTHER_DOOR}"),
+        })
+    };
+    let number = |name: &str| {
+        Ok::<_, Error>(match field(name)? {
+            Some(sdf::Value::Double(number)) => Some(number),
+            Some(sdf::Value::Float(number)) => Some(f64::from(number)),
+            Some(sdf::Value::Int(number)) => Some(f64::from(number)),
+            #[expect(
+                clippy::cast_precision_loss,
+                reason = "frames and units are small numbers"
+            )]
+            Some(sdf::Value::Int64(number)) => Some(number as f64),
+            _ => None,
+        })
+    };
+    let word = |name: &str| Ok::<_, Error>(field(name)?.and_then(text));
+    let mut layers = stage.layer_identifiers();
+    layers.sort();
+    layers.dedup();
+    Ok(RawMeta {
+        path: root.to_owned(),
+        up_axis: word("upAxis")?,
+        meters_per_unit: number("metersPerUnit")?,
+        default_prim: stage.default_prim().map(|name| name.to_string()),
+        start_time_code: number("startTimeCode")?.or(number("startFrame")?),
+        end_time_code: number("endTimeCode")?.or(number("endFrame")?),
+        time_codes_per_second: number("timeCodesPerSecond")?.or(number("framesPerSecond")?),
+        render_settings_prim_path: word("renderSettingsPrimPath")?,
+        layers,
+        reader: "native",
+    })
+}
