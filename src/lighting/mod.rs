@@ -1,10 +1,25 @@
 //! Light that comes straight from its source: UsdLux lights, the environment, emissive surfaces; with ray-traced
 //! shadows and without noise.
 
+mod cells;
+mod emitters;
+mod environment;
+mod form_factor;
+mod latlong;
+mod lights;
+mod panels;
+mod pattern;
+mod sampled;
+mod shape;
+mod shaping;
+
 use crate::diagnostics::Diagnostics;
 use crate::shading::Shader;
 use crate::trace::Tracer;
+use emitters::Emitters;
+use environment::Environment;
 use glam::Vec3;
+use lights::{AreaLight, Patterns};
 
 /// A point that receives light on one side.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,53 +62,83 @@ impl LightSamples {
     };
 }
 
+/// Rays to a light end this part of their length before it, more than the rounding of a hit distance, so that a surface
+/// in which the light lies does not block it.
+const END_MARGIN: f32 = 256.0 * f32::EPSILON;
+
+/// How far a shadow ray goes to something at `distance`.
+fn end_before(distance: f32) -> f32 {
+    distance * (1.0 - END_MARGIN)
+}
+
 /// All sources of a scene, prepared for sampling.
 #[derive(Debug)]
-pub struct Lighting {}
+pub struct Lighting {
+    lights: Vec<AreaLight>,
+    patterns: Patterns,
+    environment: Environment,
+    emitters: Emitters,
+}
 
 impl Lighting {
     /// Prepare the scene's lights and emissive surfaces; textures are read here (missing ones are warnings).
     pub fn new(shader: &Shader<'_>, samples: LightSamples, diagnostics: &Diagnostics) -> Self {
-        let _ = (shader, samples, diagnostics);
-        todo!("lighting helper")
+        let lights = &shader.scene().lights;
+        Self {
+            lights: (lights.iter())
+                .filter_map(|light| AreaLight::new(light, diagnostics))
+                .collect(),
+            patterns: Patterns::new(samples.per_light),
+            environment: Environment::new(lights, samples, diagnostics),
+            emitters: Emitters::new(shader, samples),
+        }
     }
 
     /// Irradiance from all UsdLux lights but domes: closed form where unshadowed, times the ray-traced visible part.
     pub fn lights(&self, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        let _ = (tracer, point);
-        todo!("lighting helper")
+        let origin = tracer.lift(point.position, point.geometric_normal);
+        (self.lights.iter())
+            .map(|light| light.irradiance(tracer, &self.patterns, point, origin))
+            .sum()
     }
 
     /// Irradiance from dome lights along unblocked directions; exact when nothing blocks.
     pub fn environment(&self, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        let _ = (tracer, point);
-        todo!("lighting helper")
+        let origin = tracer.lift(point.position, point.geometric_normal);
+        self.environment.irradiance(tracer, point, origin)
     }
 
     /// Radiance of the environment from unit `direction` (towards the sky), summed over domes.
     pub fn environment_radiance(&self, direction: Vec3) -> Vec3 {
-        let _ = direction;
-        todo!("lighting helper")
+        self.environment.radiance(direction)
     }
 
-    /// The environment's radiance if it is the same in all directions (then irradiance = π · L · visibility).
+    /// The environment's radiance if it is the same in all directions (then irradiance = π · L · visibility); black
+    /// without domes.
     pub fn uniform_environment(&self) -> Option<Vec3> {
-        todo!("lighting helper")
+        self.environment.uniform
     }
 
     /// True if there are dome lights that are not black.
     pub fn has_environment(&self) -> bool {
-        todo!("lighting helper")
+        self.environment.is_lit()
     }
 
     /// True if some surface emits.
     pub fn has_emitters(&self) -> bool {
-        todo!("lighting helper")
+        !self.emitters.is_empty()
     }
 
-    /// Irradiance from emissive surfaces, complete: hemisphere and area samples combined by the balance heuristic.
+    /// Irradiance from emissive surfaces, complete: plane ones in closed form times their visible part, all others by
+    /// hemisphere and area samples combined by the balance heuristic.
     pub fn emitters(&self, shader: &Shader<'_>, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        let _ = (shader, tracer, point);
-        todo!("lighting helper")
+        if self.emitters.is_empty() {
+            return Vec3::ZERO;
+        }
+        let origin = tracer.lift(point.position, point.geometric_normal);
+        self.emitters.irradiance(shader, tracer, point, origin)
     }
 }
+
+#[cfg(test)]
+mod tests;

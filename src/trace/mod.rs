@@ -272,4 +272,6 @@ fn top_items(scene: &Scene, occurrences: &[Occurrence]) -> Vec<Item> {
 }
 
 #[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
 mod tests;

@@ -1,81 +1,8 @@
 //! The tracer against brute force in `f64`, flattened instances, closed boxes and extreme scales.
 
+use super::testing::{Random, mesh, scene};
 use super::*;
-use crate::scene::{FaceMaterials, MeshId, Normals, Prim, PrimSource, Purpose, StageInfo, UpAxis};
-use glam::{DVec3, Mat3};
-
-/// A reproducible uniform number in 0…1 (splitmix64).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f32 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 40) as f32 / 16_777_216.0
-    }
-
-    fn vector(&mut self) -> Vec3 {
-        Vec3::new(self.next(), self.next(), self.next()) * 2.0 - 1.0
-    }
-
-    fn direction(&mut self) -> Vec3 {
-        loop {
-            let v = self.vector();
-            if v.length_squared() < 1.0 && v.length_squared() > 1e-4 {
-                return v.normalize();
-            }
-        }
-    }
-}
-
-pub(super) fn mesh(triangles: &[[Vec3; 3]]) -> Mesh {
-    Mesh {
-        positions: triangles.iter().flatten().copied().collect(),
-        triangles: (0..triangles.len() as u32)
-            .map(|t| [3 * t, 3 * t + 1, 3 * t + 2])
-            .collect(),
-        triangle_faces: (0..triangles.len() as u32).collect(),
-        normals: Normals::Flat,
-        primvars: Vec::new(),
-        double_sided: true,
-        closed: false,
-        cage: None,
-        scheme: "none".into(),
-    }
-}
-
-fn scene(meshes: Vec<Mesh>, prims: &[(u32, Affine3A)]) -> Scene {
-    let prims = prims.iter().map(|&(mesh, world_from_object)| Prim {
-        path: format!("/p{mesh}"),
-        mesh: MeshId(mesh),
-        world_from_object,
-        materials: FaceMaterials::Whole(None),
-        purpose: Purpose::Default,
-        source: PrimSource::Direct,
-    });
-    Scene {
-        stage: StageInfo {
-            path: "test".into(),
-            up_axis: UpAxis::Y,
-            meters_per_unit: 1.0,
-            default_prim: None,
-            time_range: None,
-            time_codes_per_second: 24.0,
-            time: None,
-            layers: Vec::new(),
-            reader: "test".into(),
-        },
-        origin: DVec3::ZERO,
-        meshes,
-        prims: prims.collect(),
-        materials: Vec::new(),
-        lights: Vec::new(),
-        cameras: Vec::new(),
-        render_settings: Vec::new(),
-    }
-}
+use glam::Mat3;
 
 fn single(triangles: &[[Vec3; 3]]) -> Tracer {
     Tracer::new(&scene(vec![mesh(triangles)], &[(0, Affine3A::IDENTITY)]))

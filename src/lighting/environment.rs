@@ -1,0 +1,124 @@
+//! Dome lights as one fixed set of directions: each stands for the part of the sky nearest to it and keeps the first
+//! moment of that part's radiance, so that the irradiance of unblocked cells is exact above the horizon.
+
+use super::cells::{Cell, build_cells};
+use super::latlong::Picture;
+use super::{LightSamples, ShadePoint};
+use crate::diagnostics::Diagnostics;
+use crate::math::luminance;
+use crate::scene::{Light, LightKind};
+use crate::trace::Tracer;
+use glam::{Mat3, Vec3};
+use std::f32::consts::PI;
+
+/// One dome light with a texture.
+#[derive(Debug)]
+pub(super) struct Dome {
+    /// `None` = the same everywhere.
+    pub(super) map: Option<Picture>,
+    /// Factor on the map.
+    pub(super) radiance: Vec3,
+    /// Rotation.
+    pub(super) world_from_dome: Mat3,
+}
+
+/// All domes of a scene.
+#[derive(Debug)]
+pub(super) struct Environment {
+    domes: Vec<Dome>,
+    cells: Vec<Cell>,
+    /// Radiance, if the same in all directions.
+    pub(super) uniform: Option<Vec3>,
+}
+
+impl Environment {
+    /// Read the textures and divide the sky into `samples.environment` cells.
+    pub(super) fn new(lights: &[Light], samples: LightSamples, diagnostics: &Diagnostics) -> Self {
+        let domes: Vec<_> = (lights.iter())
+            .filter_map(|light| dome_of(light, diagnostics))
+            .collect();
+        let uniform = (domes.iter().all(|dome| dome.map.is_none()))
+            .then(|| domes.iter().map(|dome| dome.radiance).sum());
+        let cells = build_cells(
+            &domes,
+            samples.environment.max(2) as usize,
+            uniform.is_some(),
+        );
+        Self {
+            domes,
+            cells,
+            uniform,
+        }
+    }
+
+    /// True if some dome shines.
+    pub(super) fn is_lit(&self) -> bool {
+        !self.domes.is_empty()
+    }
+
+    /// Sum of the domes' radiance from unit `direction`.
+    pub(super) fn radiance(&self, direction: Vec3) -> Vec3 {
+        let from = |dome: &Dome| {
+            let local = dome.world_from_dome.transpose() * direction;
+            dome.radiance
+                * dome
+                    .map
+                    .as_ref()
+                    .map_or(Vec3::ONE, |map| map.radiance(local))
+        };
+        self.domes.iter().map(from).sum()
+    }
+
+    /// Irradiance along unblocked directions; shadow rays start at `origin` (the lifted position).
+    pub(super) fn irradiance(&self, tracer: &Tracer, point: &ShadePoint, origin: Vec3) -> Vec3 {
+        let (mut all, mut unblocked) = (Vec3::ZERO, Vec3::ZERO);
+        for cell in &self.cells {
+            let Some((irradiance, direction)) = cell.irradiance(point.normal) else {
+                continue;
+            };
+            all += irradiance;
+            let is_above = point.geometric_normal.dot(direction) > 0.0;
+            if is_above && !tracer.occluded(origin, direction, f32::INFINITY) {
+                unblocked += irradiance;
+            }
+        }
+        match self.uniform {
+            // cells across the horizon are approximate, their sum is known
+            Some(radiance) if luminance(all) > 0.0 => {
+                PI * radiance * (luminance(unblocked) / luminance(all))
+            }
+            _ => unblocked,
+        }
+    }
+}
+
+/// `None` for other lights and black domes.
+fn dome_of(light: &Light, diagnostics: &Diagnostics) -> Option<Dome> {
+    let LightKind::Dome { texture } = &light.kind else {
+        return None;
+    };
+    let matrix = Mat3::from(light.world_from_light.matrix3);
+    let axes = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(Vec3::normalize_or_zero);
+    let world_from_dome = Mat3::from_cols(axes[0], axes[1], axes[2]);
+    if !light.radiance.is_finite() || world_from_dome.determinant().abs() < 0.5 {
+        let message = "intensity or rotation of the dome light is not valid: it is left out";
+        diagnostics.warn("degenerate-light", &light.path, message);
+        return None;
+    }
+    let map =
+        (texture.as_ref()).and_then(|path| Picture::load_or_warn(path, &light.path, diagnostics));
+    let (map, radiance) = match map {
+        Some(map) if map.pixels.iter().all(|pixel| *pixel == map.pixels[0]) => {
+            (None, light.radiance * map.pixels[0])
+        }
+        map => (map, light.radiance),
+    };
+    (radiance != Vec3::ZERO).then_some(Dome {
+        map,
+        radiance,
+        world_from_dome,
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,183 @@
+//! Environments against brute force over their texels.
+
+use super::*;
+use crate::scene::Light;
+use crate::trace::testing::{Random, mesh, scene};
+use glam::{Affine3A, DVec3};
+
+const SAMPLES: LightSamples = LightSamples {
+    per_light: 16,
+    emissive: 16,
+    environment: 512,
+};
+
+fn environment(map: Option<Picture>, radiance: Vec3, samples: LightSamples) -> Environment {
+    let domes = vec![Dome {
+        map,
+        radiance,
+        world_from_dome: Mat3::from_rotation_x(0.3) * Mat3::from_rotation_y(1.0),
+    }];
+    let uniform = domes[0].map.is_none().then_some(radiance);
+    let cells = build_cells(&domes, samples.environment as usize, uniform.is_some());
+    Environment {
+        domes,
+        cells,
+        uniform,
+    }
+}
+
+fn open() -> Tracer {
+    Tracer::new(&scene(Vec::new(), &[]))
+}
+
+fn facing(normal: Vec3) -> ShadePoint {
+    ShadePoint {
+        position: Vec3::ZERO,
+        normal,
+        geometric_normal: normal,
+    }
+}
+
+fn smooth_sky() -> Picture {
+    let mut map = Picture::uniform(256, 128);
+    for i in 0..map.pixels.len() {
+        let d = map.direction((i % 256) as f32 + 0.5, (i / 256) as f32 + 0.5);
+        let glow = (4.0 * (d.dot(Vec3::new(0.6, 0.5, 0.6)) - 1.0)).exp();
+        map.pixels[i] = Vec3::new(0.4, 0.6, 1.0) * (0.3 + 0.7 * d.y.max(-0.2))
+            + glow * Vec3::new(3.0, 2.0, 1.0);
+    }
+    map
+}
+
+fn brute_force(environment: &Environment, normal: Vec3) -> Vec3 {
+    let dome = &environment.domes[0];
+    let map = dome.map.as_ref().unwrap();
+    let mut sum = DVec3::ZERO;
+    for y in 0..map.height {
+        let solid_angle = f64::from(map.solid_angle(y));
+        for x in 0..map.width {
+            let direction = dome.world_from_dome * map.direction(x as f32 + 0.5, y as f32 + 0.5);
+            let cosine = f64::from(direction.dot(normal).max(0.0));
+            sum += map.pixels[y * map.width + x].as_dvec3() * cosine * solid_angle;
+        }
+    }
+    sum.as_vec3() * dome.radiance
+}
+
+fn worst_error(environment: &Environment, count: u64) -> f32 {
+    let (tracer, mut random) = (open(), Random(count));
+    let mean = PI * brute_force(environment, Vec3::Y).element_sum() / PI;
+    (0..count)
+        .map(|_| {
+            let normal = random.direction();
+            let value = environment.irradiance(&tracer, &facing(normal), Vec3::ZERO);
+            let truth = brute_force(environment, normal);
+            ((value - truth).abs() / truth.max(Vec3::splat(0.01 * mean))).max_element()
+        })
+        .fold(0.0, f32::max)
+}
+
+#[test]
+fn unblocked_irradiance_of_a_smooth_sky_is_within_half_a_percent() {
+    let sky = environment(Some(smooth_sky()), Vec3::ONE, SAMPLES);
+    let worst = worst_error(&sky, 60);
+    assert!(worst < 5e-3, "{worst}");
+}
+
+#[test]
+fn unblocked_irradiance_with_a_sun_of_1e6_in_one_texel_is_within_a_percent() {
+    let mut map = smooth_sky();
+    map.pixels[40 * 256 + 100] = Vec3::splat(1e6);
+    let sky = environment(Some(map), Vec3::ONE, SAMPLES);
+    let worst = worst_error(&sky, 60);
+    assert!(worst < 1e-2, "{worst}");
+}
+
+#[test]
+fn uniform_sky_gives_pi_l_and_half_of_it_beside_a_wall() {
+    let radiance = Vec3::new(1.0, 2.0, 0.0);
+    let sky = environment(None, radiance, SAMPLES);
+    let open = sky.irradiance(&open(), &facing(Vec3::Y), Vec3::ZERO);
+    assert!((open - PI * radiance).abs().max_element() < 1e-5);
+    let far = 1e3;
+    let wall = [
+        [
+            Vec3::new(-0.01, -far, -far),
+            Vec3::new(-0.01, far, -far),
+            Vec3::new(-0.01, far, far),
+        ],
+        [
+            Vec3::new(-0.01, -far, -far),
+            Vec3::new(-0.01, far, far),
+            Vec3::new(-0.01, -far, far),
+        ],
+    ];
+    let tracer = Tracer::new(&scene(vec![mesh(&wall)], &[(0, Affine3A::IDENTITY)]));
+    let beside = sky.irradiance(&tracer, &facing(Vec3::Y), Vec3::new(0.0, 1e-4, 0.0));
+    let error = (beside - 0.5 * PI * radiance).abs().max_element();
+    assert!(error < 0.01 * PI, "{beside}");
+}
+
+#[test]
+fn a_blocked_sun_leaves_the_sky() {
+    let mut map = smooth_sky();
+    let sky_alone = environment(Some(map.clone()), Vec3::ONE, SAMPLES);
+    map.pixels[40 * 256 + 100] = Vec3::splat(1e6);
+    let with_sun = environment(Some(map.clone()), Vec3::ONE, SAMPLES);
+    let sun = with_sun.domes[0].world_from_dome * map.direction(100.5, 40.5);
+    let across = sun.any_orthonormal_vector();
+    let (a, b) = (across * 0.3, sun.cross(across) * 0.3);
+    let shade = [[sun - a - b, sun + a - b, sun + b]];
+    let tracer = Tracer::new(&scene(vec![mesh(&shade)], &[(0, Affine3A::IDENTITY)]));
+    let shaded = with_sun.irradiance(&tracer, &facing(sun), Vec3::ZERO);
+    let truth = sky_alone.irradiance(&tracer, &facing(sun), Vec3::ZERO);
+    assert!(
+        (shaded / truth - 1.0).abs().max_element() < 0.03,
+        "{shaded} {truth}"
+    );
+}
+
+#[test]
+fn domes_look_up_their_map_in_their_own_frame_and_add_up() {
+    let sky = environment(Some(smooth_sky()), Vec3::splat(2.0), SAMPLES);
+    let local = Vec3::new(0.6, 0.5, 0.6).normalize();
+    let world = sky.domes[0].world_from_dome * local;
+    let truth = smooth_sky().radiance(local) * 2.0;
+    assert!((sky.radiance(world) - truth).abs().max_element() < 0.2);
+    let dome = |radiance: f32| Light {
+        path: "/dome".into(),
+        kind: LightKind::Dome { texture: None },
+        radiance: Vec3::splat(radiance),
+        normalize: true,
+        world_from_light: Affine3A::from_scale(Vec3::splat(7.0)),
+        shaping: None,
+        casts_shadows: true,
+    };
+    let two = Environment::new(
+        &[dome(1.0), dome(0.5), dome(0.0)],
+        SAMPLES,
+        &Diagnostics::default(),
+    );
+    assert_eq!(two.uniform, Some(Vec3::splat(1.5)));
+    let irradiance = two.irradiance(&open(), &facing(Vec3::X), Vec3::ZERO);
+    assert!((irradiance - 1.5 * PI).abs().max_element() < 1e-4);
+}
+
+#[test]
+fn a_missing_texture_is_a_warning_and_an_even_sky() {
+    let diagnostics = Diagnostics::default();
+    let dome = Light {
+        path: "/dome".into(),
+        kind: LightKind::Dome {
+            texture: Some("does-not-exist.hdr".into()),
+        },
+        radiance: Vec3::ONE,
+        normalize: false,
+        world_from_light: Affine3A::IDENTITY,
+        shaping: None,
+        casts_shadows: true,
+    };
+    let sky = Environment::new(&[dome], SAMPLES, &diagnostics);
+    assert_eq!(diagnostics.warnings().len(), 1);
+    assert_eq!(sky.uniform, Some(Vec3::ONE));
+}

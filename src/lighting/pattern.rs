@@ -1,0 +1,106 @@
+//! Fixed sample patterns: the same for all receivers, so that errors never show as noise.
+
+use glam::{Vec2, Vec3};
+use std::f32::consts::TAU;
+
+/// `count` points (rounded up to a power of four, so that the first quarter is stratified too) of the unit square: Sobol's
+/// (0, 2)-sequence, moved to the middle of its cells.
+pub(super) fn square(count: u32) -> Vec<Vec2> {
+    let count = power_of_four(count);
+    #[expect(clippy::cast_precision_loss, reason = "at most 2^20 points")]
+    let half_cell = 0.5 / count as f32;
+    (0..count)
+        .map(|i| Vec2::new(fraction(i.reverse_bits()), fraction(sobol_second(i))) + half_cell)
+        .collect()
+}
+
+/// `count` cosine-weighted unit directions about +Z, ordered like [`square`].
+pub(super) fn hemisphere(count: u32) -> Vec<Vec3> {
+    (square(count).into_iter())
+        .map(|p| {
+            let disk = disk(p);
+            disk.extend((1.0 - p.x).max(0.0).sqrt())
+        })
+        .collect()
+}
+
+/// The unit square to the unit disk, equal areas: `x` is the squared radius, `y` the angle.
+pub(super) fn disk(p: Vec2) -> Vec2 {
+    Vec2::from_angle(TAU * p.y) * p.x.sqrt()
+}
+
+/// `count` directions spread evenly over the sphere (spherical Fibonacci lattice).
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_precision_loss,
+    reason = "angles in f64, then rounded"
+)]
+pub(super) fn sphere(count: usize) -> Vec<Vec3> {
+    const GOLDEN_FRACTION: f64 = 0.618_033_988_749_894_9;
+    (0..count)
+        .map(|i| {
+            let z = 1.0 - (2.0 * i as f64 + 1.0) / count as f64;
+            let angle = std::f64::consts::TAU * (i as f64 * GOLDEN_FRACTION).fract();
+            let radius = (1.0 - z * z).sqrt();
+            Vec3::new(
+                (radius * angle.cos()) as f32,
+                (radius * angle.sin()) as f32,
+                z as f32,
+            )
+        })
+        .collect()
+}
+
+/// The next power of four, at most 4^10.
+fn power_of_four(count: u32) -> u32 {
+    (0..10)
+        .map(|k| 4_u32.pow(k))
+        .find(|&n| n >= count)
+        .unwrap_or(1 << 20)
+}
+
+#[expect(clippy::cast_precision_loss, reason = "24 bits are kept")]
+fn fraction(bits: u32) -> f32 {
+    (bits >> 8) as f32 / (1 << 24) as f32
+}
+
+/// Second dimension of Sobol's sequence (the first is the van der Corput sequence).
+fn sobol_second(mut index: u32) -> u32 {
+    let (mut direction, mut bits) = (1_u32 << 31, 0);
+    while index != 0 {
+        if index & 1 == 1 {
+            bits ^= direction;
+        }
+        index >>= 1;
+        direction ^= direction >> 1;
+    }
+    bits
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_column_and_square_cell_holds_one_point_also_in_the_first_quarter() {
+        let points = square(200);
+        assert_eq!(points.len(), 256);
+        for (count, side) in [(64_usize, 8_usize), (256, 16)] {
+            let mut cells = vec![0; count];
+            let mut rows = vec![0; count];
+            for p in &points[..count] {
+                cells[(p.x * side as f32) as usize * side + (p.y * side as f32) as usize] += 1;
+                rows[(p.y * count as f32) as usize] += 1;
+            }
+            assert!(cells.iter().chain(&rows).all(|&n| n == 1));
+        }
+    }
+
+    #[test]
+    fn hemisphere_directions_are_unit_and_their_mean_cosine_is_two_thirds() {
+        let directions = hemisphere(1024);
+        let mean: f32 = directions.iter().map(|d| d.z).sum::<f32>() / 1024.0;
+        assert!((mean - 2.0 / 3.0).abs() < 1e-4);
+        assert!(directions.iter().all(|d| (d.length() - 1.0).abs() < 1e-6));
+    }
+}
