@@ -156,7 +156,10 @@ def array_value(value, arrays):
         return {"tokens": list(value)}
     if kind == "AssetPathArray":
         return {"tokens": [asset.resolvedPath or asset.path for asset in value]}
-    array = numpy.asarray(value)
+    if kind == "TimeCodeArray":  # an array of objects before usd-core 25
+        array = numpy.array([time.GetValue() for time in value], dtype="<f8")
+    else:
+        array = numpy.asarray(value)
     name = array.dtype.str[1:]
     kept = KEPT_AS.get("b" if name == "b1" else name)
     if kept is None:
