@@ -1,1 +1,3 @@
 //! Results → files: EXR, PNG, primvar layers, clouds. Each under a temporary name, then renamed.
+
+pub mod usd;
