@@ -1,3 +1,4 @@
 //! Results → files: EXR, PNG, primvar layers, clouds. Each under a temporary name, then renamed.
 
 pub mod image;
+pub mod usd;

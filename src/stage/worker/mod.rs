@@ -1,39 +1,224 @@
 //! The usd-core door: a persistent Python process that reads the stage with Pixar's USD, answers in JSON lines and
 //! hands arrays over in one flat memory-mapped file a load.
+//!
+//! `worker.py` does all traversal, so that a load is one message whatever the size of the stage. What USD warns of
+//! while it composes comes back with the answer and becomes warnings of kind `usd`.
+
+mod index;
+mod interpreter;
+mod map;
+mod process;
 
 use super::raw::{RawStage, Request};
 use super::{Error, Source};
 use crate::diagnostics::Diagnostics;
-use std::path::Path;
+use index::Index;
+use process::{Failure, Process};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use std::time::Duration;
+use tempfile::TempDir;
+
+/// Time a worker may take until it has imported USD, plug-ins and all.
+const START_LIMIT: Duration = Duration::from_secs(120);
+
+/// What can be done when no worker runs.
+const REMEDY: &str =
+    "set SURFLUX_USD_PYTHON to a Python with usd-core and numpy, or read with --usd native";
 
 /// A stage opened in a usd-core worker process; the process ends when this is dropped.
 #[derive(Debug)]
-pub struct WorkerSource {}
+pub struct WorkerSource {
+    path: PathBuf,
+    interpreter: PathBuf,
+    process: Process,
+    /// Where the worker may leave its file of arrays, best first; removed with this source.
+    scratch: Vec<TempDir>,
+}
 
 impl WorkerSource {
     /// True if an interpreter that can import `pxr` and `numpy` is found (`SURFLUX_USD_PYTHON`, else
-    /// `.venv/bin/python`, else `python3`).
+    /// `.venv/bin/python`, else `python3`). Found out once a process, by starting it (0.2 s).
     pub fn available() -> bool {
-        todo!("worker helper")
+        static AVAILABLE: OnceLock<bool> = OnceLock::new();
+        *AVAILABLE.get_or_init(|| interpreter::can_import(&interpreter::find()))
     }
 
-    /// Start a worker and open the stage at `path` in it.
+    /// Start a worker and open the root layer at `path` in it; the stage is composed by the first load, which knows
+    /// the population mask.
     ///
     /// # Errors
-    /// When no interpreter can import `pxr`, or the stage cannot be opened.
+    /// When no interpreter can import `pxr`, or the root layer is missing or cannot be parsed.
     pub fn open(path: &Path) -> Result<Self, Error> {
-        let _ = path;
-        todo!("worker helper")
+        Self::open_with(&interpreter::find(), path)
+    }
+
+    /// [`Self::open`] with the Python at `interpreter`.
+    ///
+    /// # Errors
+    /// See [`Self::open`].
+    pub fn open_with(interpreter: &Path, path: &Path) -> Result<Self, Error> {
+        check_readable(path)?;
+        let failed = |message: String| Error::Worker {
+            interpreter: interpreter.display().to_string(),
+            message: format!("{message}; {REMEDY}"),
+        };
+        let quiet = Diagnostics::default();
+        let mut process = Process::start(interpreter).map_err(|failure| failed(words(failure)))?;
+        let hello: serde_json::Value = process
+            .wait(Some(START_LIMIT), &quiet)
+            .map_err(|failure| failed(words(failure)))?;
+        log::debug!("worker {}: {hello}", interpreter.display());
+        let scratch = scratch_folders().map_err(|error| failed(error.to_string()))?;
+        let mut source = Self {
+            path: path.to_owned(),
+            interpreter: interpreter.to_owned(),
+            process,
+            scratch,
+        };
+        let folders: Vec<_> = source.scratch.iter().map(TempDir::path).collect();
+        let request = json!({"open": path, "scratch": folders});
+        let opened: Result<serde_json::Value, Failure> = source.process.ask(&request, &quiet);
+        match opened {
+            Ok(_) => Ok(source),
+            Err(failure) => Err(source.error(failure)),
+        }
+    }
+
+    /// Id of the worker process.
+    pub fn process_id(&self) -> u32 {
+        self.process.id()
+    }
+
+    fn error(&self, failure: Failure) -> Error {
+        match failure {
+            Failure::Refused(message) => Error::Layer {
+                path: self.path.clone(),
+                message,
+            },
+            Failure::Worker(message) => self.worker_error(message),
+            Failure::Cancelled(cancelled) => cancelled.into(),
+        }
+    }
+
+    fn worker_error(&self, message: String) -> Error {
+        Error::Worker {
+            interpreter: self.interpreter.display().to_string(),
+            message,
+        }
+    }
+
+    fn stage_of(&self, index: Index) -> Result<RawStage, String> {
+        if index.arrays.as_os_str().is_empty() {
+            return index.into_stage(&self.path, &[]);
+        }
+        let map = map::map_and_remove(&index.arrays)
+            .map_err(|error| format!("cannot map {}: {error}", index.arrays.display()))?;
+        index.into_stage(&self.path, &map)
     }
 }
 
 impl Source for WorkerSource {
     fn load(&mut self, request: &Request, diagnostics: &Diagnostics) -> Result<RawStage, Error> {
-        let _ = (request, diagnostics);
-        todo!("worker helper")
+        let message = json!({"load": {
+            "time": request.time,
+            "mask": request.mask,
+            "attributes": request.attributes,
+            "values_not_needed": request.values_not_needed,
+        }});
+        let index: Index = self
+            .process
+            .ask(&message, diagnostics)
+            .map_err(|failure| self.error(failure))?;
+        for warning in &index.warnings {
+            let (prim, message) = clean(warning);
+            diagnostics.warn("usd", prim, message);
+        }
+        self.stage_of(index)
+            .map_err(|problem| self.worker_error(problem))
     }
 
     fn name(&self) -> &'static str {
         "usd-core"
+    }
+}
+
+/// A path that the operating system knows must be readable; others (resolver URIs, files in packages) are USD's business.
+fn check_readable(path: &Path) -> Result<(), Error> {
+    let text = path.to_string_lossy();
+    if text.contains("://") || text.contains('[') {
+        return Ok(());
+    }
+    match std::fs::File::open(path) {
+        Ok(_) => Ok(()),
+        Err(source) => Err(Error::Unreadable {
+            path: path.to_owned(),
+            source,
+        }),
+    }
+}
+
+/// Memory-backed where the system has it (arrays are mapped without touching a disk), then the temporary folder.
+fn scratch_folders() -> std::io::Result<Vec<TempDir>> {
+    let new = |parent: &Path| {
+        tempfile::Builder::new()
+            .prefix("surflux-")
+            .tempdir_in(parent)
+    };
+    let mut folders: Vec<TempDir> = new(Path::new("/dev/shm")).into_iter().collect();
+    folders.push(new(&std::env::temp_dir())?);
+    Ok(folders)
+}
+
+fn words(failure: Failure) -> String {
+    match failure {
+        Failure::Worker(message) | Failure::Refused(message) => message,
+        Failure::Cancelled(cancelled) => cancelled.to_string(),
+    }
+}
+
+/// A warning of USD split into the prim it is about (empty if it names none) and its text on one line, without the
+/// addresses of objects and the note which stage was being made, which say nothing to a user.
+fn clean(warning: &str) -> (String, String) {
+    let text = warning.split_whitespace().collect::<Vec<_>>().join(" ");
+    let text = text
+        .split(" (instantiating stage on")
+        .next()
+        .unwrap_or_default();
+    let text = text
+        .split(" (recomposing stage on")
+        .next()
+        .unwrap_or_default();
+    let prim = text
+        .split_once("</")
+        .and_then(|(_, rest)| rest.split_once('>'))
+        .map_or(String::new(), |(path, _)| format!("/{path}"));
+    (prim, text.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_composition_warning_is_told_by_prim_and_without_addresses() {
+        let (prim, text) = clean(
+            "In </W/m>: Could not open asset @missing.usd@ for payload introduced by @a.usda@</W/m>. \
+             (instantiating stage on stage @a.usda@ <0x55d0c8>)",
+        );
+        assert_eq!(prim, "/W/m");
+        assert_eq!(
+            text,
+            "In </W/m>: Could not open asset @missing.usd@ for payload introduced by @a.usda@</W/m>."
+        );
+    }
+
+    #[test]
+    fn a_warning_without_a_prim_has_none() {
+        assert_eq!(
+            clean("out of\n luck"),
+            (String::new(), "out of luck".to_owned())
+        );
     }
 }

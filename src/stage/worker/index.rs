@@ -1,0 +1,244 @@
+//! The worker's answer to a load: its JSON index and the flat file of arrays → [`RawStage`].
+
+use super::super::raw::{RawAttribute, RawMeta, RawPrim, RawRelationship, RawStage, Value};
+use bytemuck::Pod;
+use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// What `worker.py` answers to a load.
+#[derive(Debug, Deserialize)]
+pub(super) struct Index {
+    meta: Meta,
+    prims: Vec<Prim>,
+    prototype_start: usize,
+    /// The file of arrays; empty when there are none.
+    pub(super) arrays: PathBuf,
+    /// What USD warned of, sorted.
+    pub(super) warnings: Vec<String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Meta {
+    up_axis: Option<String>,
+    meters_per_unit: Option<Number>,
+    default_prim: Option<String>,
+    start_time_code: Option<Number>,
+    end_time_code: Option<Number>,
+    time_codes_per_second: Option<Number>,
+    render_settings_prim_path: Option<String>,
+    layers: Vec<String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Prim {
+    path: String,
+    #[serde(rename = "type")]
+    type_name: String,
+    parent: Option<usize>,
+    prototype: Option<usize>,
+    kind: Option<String>,
+    #[serde(default)]
+    schemas: Vec<String>,
+    #[serde(default)]
+    attributes: BTreeMap<String, Attribute>,
+    /// Targets and `bindMaterialAs`.
+    #[serde(default)]
+    relationships: BTreeMap<String, (Vec<String>, Option<String>)>,
+    #[serde(default)]
+    unread: Vec<String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Attribute {
+    #[serde(rename = "type")]
+    type_name: String,
+    value: Option<Content>,
+    interpolation: Option<String>,
+    element_size: Option<i32>,
+    color_space: Option<String>,
+    #[serde(default)]
+    connections: Vec<String>,
+    #[serde(default)]
+    varying: bool,
+}
+
+/// A value by kind, as `worker.py` spells them.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Content {
+    Bool(bool),
+    Int(i64),
+    Float(Number),
+    Token(String),
+    Asset(String, String),
+    Vector(Vec<Number>),
+    Quat([Number; 4]),
+    Matrix([Number; 16]),
+    Tokens(Vec<String>),
+    /// Byte offset, element type, rows, columns.
+    Array(usize, String, usize, usize),
+}
+
+/// A float spelled out: `str::parse` rounds correctly and knows `nan` and `inf`, JSON numbers do neither.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(try_from = "String")]
+struct Number(f64);
+
+impl TryFrom<String> for Number {
+    type Error = std::num::ParseFloatError;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse().map(Self)
+    }
+}
+
+impl Index {
+    /// The stage, with arrays copied out of `arrays`. The error says which prim's value does not make sense.
+    pub(super) fn into_stage(self, root: &Path, arrays: &[u8]) -> Result<RawStage, String> {
+        let prims = self
+            .prims
+            .into_iter()
+            .map(|prim| prim.into_raw(arrays))
+            .collect::<Result<_, _>>()?;
+        Ok(RawStage {
+            meta: self.meta.into_raw(root),
+            prims,
+            prototype_start: self.prototype_start,
+        })
+    }
+}
+
+impl Meta {
+    fn into_raw(self, root: &Path) -> RawMeta {
+        let float = |number: Option<Number>| number.map(|number| number.0);
+        RawMeta {
+            path: root.to_owned(),
+            up_axis: self.up_axis,
+            meters_per_unit: float(self.meters_per_unit),
+            default_prim: self.default_prim,
+            start_time_code: float(self.start_time_code),
+            end_time_code: float(self.end_time_code),
+            time_codes_per_second: float(self.time_codes_per_second),
+            render_settings_prim_path: self.render_settings_prim_path,
+            layers: self.layers,
+            reader: "usd-core",
+        }
+    }
+}
+
+impl Prim {
+    fn into_raw(self, arrays: &[u8]) -> Result<RawPrim, String> {
+        let path = self.path;
+        let attribute = |(name, attribute): (String, Attribute)| {
+            let raw = attribute
+                .into_raw(arrays)
+                .map_err(|problem| format!("{path}.{name}: {problem}"))?;
+            Ok((name, raw))
+        };
+        let attributes = self
+            .attributes
+            .into_iter()
+            .map(attribute)
+            .collect::<Result<_, String>>()?;
+        let relationship = |(name, (targets, bind_material_as))| {
+            let raw = RawRelationship {
+                targets,
+                bind_material_as,
+            };
+            (name, raw)
+        };
+        Ok(RawPrim {
+            attributes,
+            path,
+            type_name: self.type_name,
+            parent: self.parent,
+            api_schemas: self.schemas,
+            prototype: self.prototype,
+            kind: self.kind,
+            relationships: self.relationships.into_iter().map(relationship).collect(),
+            unread: self.unread,
+        })
+    }
+}
+
+impl Attribute {
+    fn into_raw(self, arrays: &[u8]) -> Result<RawAttribute, String> {
+        Ok(RawAttribute {
+            type_name: self.type_name,
+            value: self.value.map(|value| value.into_raw(arrays)).transpose()?,
+            interpolation: self.interpolation,
+            element_size: self.element_size,
+            color_space: self.color_space,
+            connections: self.connections,
+            varying: self.varying,
+        })
+    }
+}
+
+impl Content {
+    fn into_raw(self, arrays: &[u8]) -> Result<Value, String> {
+        Ok(match self {
+            Self::Bool(value) => Value::Bool(value),
+            Self::Int(value) => Value::Int(value),
+            Self::Float(value) => Value::Float(value.0),
+            Self::Token(value) => Value::Token(value),
+            Self::Asset(authored, resolved) => Value::Asset { authored, resolved },
+            Self::Vector(values) => vector(&values)?,
+            Self::Quat(values) => Value::Quat(DQuat::from_array(values.map(|value| value.0))),
+            // USD's row-major, row-vector matrix is the column-major, column-vector one in memory.
+            Self::Matrix(values) => {
+                Value::Matrix(DMat4::from_cols_array(&values.map(|value| value.0)))
+            }
+            Self::Tokens(values) => Value::TokenArray(values),
+            Self::Array(offset, kind, rows, columns) => Slot {
+                arrays,
+                offset,
+                rows,
+            }
+            .read(&kind, columns)?,
+        })
+    }
+}
+
+fn vector(values: &[Number]) -> Result<Value, String> {
+    match *values {
+        [x, y] => Ok(Value::Vec2(DVec2::new(x.0, y.0))),
+        [x, y, z] => Ok(Value::Vec3(DVec3::new(x.0, y.0, z.0))),
+        [x, y, z, w] => Ok(Value::Vec4(DVec4::new(x.0, y.0, z.0, w.0))),
+        _ => Err(format!("a vector of {} components", values.len())),
+    }
+}
+
+/// Where an array lies in the flat file.
+struct Slot<'a> {
+    arrays: &'a [u8],
+    offset: usize,
+    rows: usize,
+}
+
+impl Slot<'_> {
+    fn read(&self, kind: &str, columns: usize) -> Result<Value, String> {
+        Ok(match (kind, columns) {
+            ("i4", 1) => Value::IntArray(self.copy()?),
+            ("i8", 1) => Value::Int64Array(self.copy()?),
+            ("f4", 1) => Value::FloatArray(self.copy()?),
+            ("f4", 2) => Value::Vec2Array(self.copy::<Vec2>()?),
+            ("f4", 3) => Value::Vec3Array(self.copy::<Vec3>()?),
+            ("f4", 4) => Value::Vec4Array(self.copy::<Vec4>()?),
+            ("qf4", 4) => Value::QuatArray(self.copy::<Vec4>()?),
+            ("f8", 16) => Value::MatrixArray(self.copy::<DMat4>()?),
+            _ => return Err(format!("an array of {columns} × {kind}")),
+        })
+    }
+
+    fn copy<T: Pod>(&self) -> Result<Vec<T>, String> {
+        let size = self.rows.checked_mul(size_of::<T>());
+        let end = size.and_then(|size| self.offset.checked_add(size));
+        let bytes = end.and_then(|end| self.arrays.get(self.offset..end));
+        let bytes = bytes.ok_or("an array beyond the end of the worker's file")?;
+        let values = bytemuck::try_cast_slice(bytes).map_err(|error| error.to_string())?;
+        Ok(values.to_vec())
+    }
+}

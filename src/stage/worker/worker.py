@@ -1,0 +1,433 @@
+"""Read USD stages for surflux: JSON lines in, JSON lines out, arrays through a flat file.
+
+Requests (one JSON object a line on stdin):
+  {"open": PATH, "scratch": [FOLDER, ...]}
+  {"load": {"time": NUMBER|null, "mask": [PATH], "attributes": [NAME|PREFIX*], "values_not_needed": [...]}}
+Replies (one line on stdout each): {"ok": ...} or {"error": MESSAGE}; the very first line says what was imported.
+All numbers keep the memory order of USD: a row-vector matrix read as columns is its transpose.
+"""
+import json
+import os
+import re
+import shutil
+import signal
+import sys
+import tempfile
+
+# `python -c` puts the current folder first: a file called numpy.py there must not be imported.
+if sys.path and sys.path[0] == "":
+    del sys.path[0]
+
+# Ctrl-C in a terminal goes to the whole group; surflux decides what it means and ends this process itself.
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+# USD and its plug-ins print to stdout: keep the protocol's own copy and send everything else to stderr.
+REQUESTS = os.fdopen(os.dup(0), "r", encoding="utf-8")
+REPLIES = os.fdopen(os.dup(1), "w", encoding="utf-8")
+os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+os.dup2(2, 1)
+sys.stdout = sys.stderr
+
+
+def reply(message):
+    REPLIES.write(json.dumps(message, separators=(",", ":"), allow_nan=False))
+    REPLIES.write("\n")
+    REPLIES.flush()
+
+
+try:
+    import numpy
+    from pxr import Ar, Sdf, Tf, Usd, UsdUtils
+except BaseException as problem:  # a broken installation may raise anything
+    reply({"error": "cannot import pxr and numpy: %s: %s" % (type(problem).__name__, problem)})
+    sys.exit(1)
+
+ALIGNMENT = 64
+UDIM = "<UDIM>"
+PROTOTYPE = re.compile(r"/__Prototype_[0-9]+(?=[/.]|$)")
+FALLBACK_SOURCES = (Usd.ResolveInfoSourceFallback, Usd.ResolveInfoSourceNone)
+# Value type names of arrays whose numpy view holds plain numbers, with the type surflux keeps them as.
+KEPT_AS = {"b": "i4", "u1": "i4", "i4": "i4", "u4": "i4", "i8": "i8", "u8": "i8", "f2": "f4", "f4": "f4", "f8": "f4"}
+
+
+# Largest integer of the receiving side; only uint64 scalars exceed it.
+LARGEST_INT = 2**63 - 1
+
+
+def number(value):
+    """A float as its shortest exact spelling, NaN and infinities included: JSON readers round and refuse those."""
+    return repr(float(value))
+
+
+class Arrays:
+    """Arrays of one load, laid out one after the other on 64-byte borders."""
+
+    def __init__(self):
+        self.items = []
+        self.size = 0
+
+    def add(self, array):
+        array = numpy.ascontiguousarray(array)
+        offset = -(-self.size // ALIGNMENT) * ALIGNMENT
+        self.items.append((offset, array))
+        self.size = offset + array.nbytes
+        return offset
+
+    def write(self, folders):
+        """Path of the file that holds them, in the first of `folders` with room; "" when there is nothing to hold."""
+        if self.size == 0:
+            return ""
+        problem = None
+        for folder in folders:
+            handle, path = tempfile.mkstemp(dir=folder)
+            with os.fdopen(handle, "wb") as file:
+                try:
+                    if hasattr(os, "fstatvfs"):
+                        room = os.fstatvfs(file.fileno())
+                        if room.f_bavail * room.f_frsize < self.size:
+                            raise OSError("%d bytes do not fit into %s" % (self.size, folder))
+                    for offset, array in self.items:
+                        if array.nbytes:
+                            file.seek(offset)
+                            file.write(array.reshape(-1).view(numpy.uint8).data)
+                    return path
+                except OSError as error:
+                    problem = error
+            os.remove(path)
+        raise problem
+
+
+def scalar_value(value):
+    """One value that is not an array, as {kind: content}; None when surflux has no use for its type."""
+    if isinstance(value, bool):
+        return {"bool": value}
+    if isinstance(value, int):
+        return {"int": min(value, LARGEST_INT)}
+    if isinstance(value, float):
+        return {"float": number(value)}
+    if isinstance(value, str):
+        return {"token": value}
+    kind = type(value).__name__
+    if kind == "TimeCode":
+        return {"float": number(value.GetValue())}
+    if kind == "PathExpression":
+        return {"token": value.GetText()}
+    if kind.startswith("Vec"):
+        return {"vector": [number(component) for component in value]}
+    if kind.startswith("Quat"):
+        return {"quat": [number(component) for component in value.GetImaginary()] + [number(value.GetReal())]}
+    if kind == "Matrix4d":
+        return {"matrix": [number(component) for row in value for component in row]}
+    return None
+
+
+def udim_path(attribute, time, authored):
+    """Absolute path of a `<UDIM>` pattern, anchored at the layer that authored it, the pattern kept."""
+    stack = attribute.GetPropertyStack(time)
+    layer = stack[0].layer if stack else attribute.GetStage().GetRootLayer()
+    before, after = authored.split(UDIM, 1)
+    for tile in range(1001, 1101):
+        resolved = layer.ComputeAbsolutePath("%s%d%s" % (before, tile, after))
+        resolved = Ar.GetResolver().Resolve(resolved).GetPathString() if resolved else ""
+        tail = "%d%s" % (tile, after)
+        # inside a package the path ends in a bracket that the authored one does not have
+        closing = "]" if resolved.endswith("]") and not tail.endswith("]") else ""
+        if resolved.endswith(tail + closing):
+            return resolved[: -len(tail + closing)] + UDIM + after + closing
+    absolute = layer.ComputeAbsolutePath(authored)
+    if os.path.isabs(absolute):
+        return absolute
+    folder = os.path.dirname(layer.realPath)
+    return os.path.normpath(os.path.join(folder, authored)) if folder else ""
+
+
+def asset_value(attribute, time, value):
+    authored = value.path
+    resolved = value.resolvedPath
+    if UDIM in authored:
+        resolved = udim_path(attribute, time, authored)
+    return {"asset": [authored, resolved]}
+
+
+def array_value(value, arrays):
+    """A Vt array as {"array": [offset, type, shape]} or {"tokens": [...]}; None for kinds without use."""
+    kind = type(value).__name__
+    if kind in ("TokenArray", "StringArray"):
+        return {"tokens": list(value)}
+    if kind == "AssetPathArray":
+        return {"tokens": [asset.resolvedPath or asset.path for asset in value]}
+    if kind == "TimeCodeArray":  # an array of objects before usd-core 25
+        array = numpy.array([time.GetValue() for time in value], dtype="<f8")
+    else:
+        array = numpy.asarray(value)
+    name = array.dtype.str[1:]
+    kept = KEPT_AS.get("b" if name == "b1" else name)
+    if kept is None:
+        return None
+    shape = list(array.shape)
+    if kind == "Matrix4dArray":
+        kept = "f8"
+    elif len(shape) == 2:
+        kept = "f4"  # int2[] and the like have no integer form in surflux
+    elif len(shape) > 2:
+        return None
+    if array.dtype.str[1:] != kept:
+        # values out of range become infinities here and are refused where they are used
+        with numpy.errstate(over="ignore", invalid="ignore"):
+            array = array.astype("<" + kept)
+    width = 1
+    for extent in shape[1:]:
+        width *= extent
+    quaternions = "q" if kind.startswith("Quat") else ""
+    return {"array": [arrays.add(array), quaternions + kept, shape[0], width]}
+
+
+def matcher(patterns):
+    exact = frozenset(pattern for pattern in patterns if not pattern.endswith("*"))
+    starts = tuple(pattern[:-1] for pattern in patterns if pattern.endswith("*"))
+    return lambda name: name in exact or name.startswith(starts)
+
+
+class Loader:
+    """One load: walks a stage and fills the index and the arrays."""
+
+    def __init__(self, stage, request):
+        self.stage = stage
+        time = request["time"]
+        self.time = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
+        self.wants = matcher(request["attributes"])
+        self.name_only = matcher(request["values_not_needed"])
+        self.arrays = Arrays()
+        self.prims = []
+        # Prototype paths are numbered anew in order of first use: usd-core's own numbers may differ between runs.
+        self.prototypes = []
+        self.prototype_numbers = {}
+
+    def walk(self):
+        self.walk_range(Usd.PrimRange.Stage(self.stage, Usd.PrimDefaultPredicate))
+        stage_prims = len(self.prims)
+        roots = []
+        done = 0
+        while done < len(self.prototypes):
+            roots.append(len(self.prims))
+            self.walk_range(Usd.PrimRange(self.prototypes[done], Usd.PrimDefaultPredicate))
+            done += 1
+        for prim in self.prims:
+            prim["path"] = self.stage_path(prim["path"])
+            if "prototype" in prim:
+                prim["prototype"] = roots[prim["prototype"]]
+            for targets in prim.get("relationships", {}).values():
+                targets[0] = [self.stage_path(target) for target in targets[0]]
+            for attribute in prim.get("attributes", {}).values():
+                if "connections" in attribute:
+                    attribute["connections"] = [self.stage_path(path) for path in attribute["connections"]]
+        return stage_prims
+
+    def walk_range(self, prim_range):
+        parents = []  # indices of the ancestors of the prim at hand
+        walk = iter(prim_range)
+        base = None
+        for prim in walk:
+            depth = prim.GetPath().pathElementCount
+            if base is None:
+                base = depth
+            del parents[depth - base :]
+            index = len(self.prims)
+            entry = self.prim_entry(prim)
+            if parents:
+                entry["parent"] = parents[-1]
+            self.prims.append(entry)
+            parents.append(index)
+
+    def prim_entry(self, prim):
+        entry = {"path": str(prim.GetPath()), "type": str(prim.GetTypeName())}
+        schemas = prim.GetAppliedSchemas()
+        if schemas:
+            entry["schemas"] = [str(schema) for schema in schemas]
+        kind = prim.GetMetadata("kind")
+        if kind:
+            entry["kind"] = str(kind)
+        if prim.IsInstance():
+            entry["prototype"] = self.prototype_number(prim.GetPrototype())
+        attributes, relationships, unread = {}, {}, []
+        for item in prim.GetAuthoredProperties():
+            name = item.GetName()
+            if isinstance(item, Usd.Relationship):
+                relationships[name] = self.relationship_entry(item, name)
+            elif self.wants(name) or self.name_only(name):
+                attributes[name] = self.attribute_entry(item, name)
+            else:
+                unread.append(name)
+        for key, value in (("attributes", attributes), ("relationships", relationships), ("unread", unread)):
+            if value:
+                entry[key] = value
+        return entry
+
+    def prototype_number(self, prototype):
+        path = str(prototype.GetPath())
+        if path not in self.prototype_numbers:
+            self.prototype_numbers[path] = len(self.prototypes)
+            self.prototypes.append(prototype)
+        return self.prototype_numbers[path]
+
+    def stage_path(self, path):
+        match = PROTOTYPE.match(path)
+        if not match or match.group() not in self.prototype_numbers:
+            return path
+        return "/__Prototype_%d%s" % (self.prototype_numbers[match.group()] + 1, path[match.end() :])
+
+    @staticmethod
+    def relationship_entry(relationship, name):
+        targets = [str(target) for target in relationship.GetTargets()]
+        strength = relationship.GetMetadata("bindMaterialAs") if name.startswith("material:binding") else None
+        return [targets, str(strength) if strength else None]
+
+    def attribute_entry(self, attribute, name):
+        type_name = attribute.GetTypeName()
+        entry = {"type": str(type_name)}
+        if attribute.HasAuthoredConnections():
+            entry["connections"] = [str(path) for path in attribute.GetConnections()]
+        if attribute.ValueMightBeTimeVarying():
+            entry["varying"] = True
+        if type_name.isArray or name.startswith("primvars:"):
+            interpolation = attribute.GetMetadata("interpolation")
+            if interpolation:
+                entry["interpolation"] = str(interpolation)
+            if attribute.HasAuthoredMetadata("elementSize"):
+                entry["element_size"] = attribute.GetMetadata("elementSize")
+        if attribute.HasColorSpace():
+            entry["color_space"] = str(attribute.GetColorSpace())
+        if self.wants(name) and not self.name_only(name):
+            value = self.value(attribute, type_name.isArray)
+            if value is not None:
+                entry["value"] = value
+        return entry
+
+    def value(self, attribute, is_array):
+        # A fallback is not authored: a time-sampled attribute has none at the default time, a blocked one never.
+        if attribute.GetResolveInfo(self.time).GetSource() in FALLBACK_SOURCES:
+            return None
+        value = attribute.Get(self.time)
+        if value is None:
+            return None
+        if is_array:
+            return array_value(value, self.arrays)
+        if isinstance(value, Sdf.AssetPath):
+            return asset_value(attribute, self.time, value)
+        return scalar_value(value)
+
+
+# Relationships and connections whose targets a masked prim needs besides itself.
+NEEDED_RELATIONSHIPS = ("material:binding", "prototypes", "skel:", "products", "orderedVars", "camera")
+
+
+class Worker:
+    def __init__(self):
+        self.path = None
+        self.root = None
+        self.scratch = []
+        self.stages = {}
+        self.delegate = UsdUtils.CoalescingDiagnosticDelegate()
+
+    def open(self, request):
+        self.scratch = request["scratch"]
+        self.path = request["open"]
+        self.root = Sdf.Layer.FindOrOpen(self.path)
+        if self.root is None:
+            raise FileNotFoundError("usd-core finds no layer there")
+        return {}
+
+    def stage(self, mask):
+        key = tuple(mask)
+        if key not in self.stages:
+            self.stages.clear()  # one population at a time: the frames of a job share theirs
+            self.stages[key] = self.masked_stage(mask) if mask else Usd.Stage.Open(self.root, Usd.Stage.LoadAll)
+        return self.stages[key]
+
+    def masked_stage(self, mask):
+        population = Usd.StagePopulationMask([Sdf.Path(path) for path in mask])
+        stage = Usd.Stage.OpenMasked(self.root, population, Usd.Stage.LoadAll)
+        while True:
+            wider = population
+            for path in self.needed_outside(stage):
+                if not wider.IncludesSubtree(path):
+                    wider = wider.GetUnion(path)
+            if wider == population:
+                return stage
+            population = wider
+            stage.SetPopulationMask(population)
+
+    @staticmethod
+    def needed_outside(stage):
+        """Prim paths that the populated prims point at: their materials, prototypes, skeletons, shader inputs."""
+        predicate = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+        for prim in Usd.PrimRange.Stage(stage, predicate):
+            for item in prim.GetAuthoredProperties():
+                if isinstance(item, Usd.Relationship):
+                    targets = item.GetTargets() if item.GetName().startswith(NEEDED_RELATIONSHIPS) else []
+                    # a collection's own members are chosen, not needed
+                    targets = [target for target in targets if target.IsPrimPath()]
+                else:
+                    targets = item.GetConnections() if item.HasAuthoredConnections() else []
+                for target in targets:
+                    yield target.GetPrimPath()
+
+    def load(self, request):
+        stage = self.stage(request["mask"])
+        loader = Loader(stage, request)
+        stage_prims = loader.walk()
+        return {
+            "meta": stage_meta(stage),
+            "prims": loader.prims,
+            "prototype_start": stage_prims,
+            "arrays": loader.arrays.write(self.scratch),
+            "size": loader.arrays.size,
+        }
+
+    def warnings(self):
+        return sorted({item.commentary.strip() for item in self.delegate.TakeUncoalescedDiagnostics()})
+
+    def answer(self, request):
+        try:
+            result = self.open(request) if "open" in request else self.load(request["load"])
+            result["warnings"] = self.warnings()
+            return {"ok": result}
+        except Tf.ErrorException as problem:
+            return {"error": "; ".join(str(getattr(error, "commentary", error)).strip() for error in problem.args)}
+        except FileNotFoundError as problem:
+            return {"error": "; ".join([str(problem)] + self.warnings())}
+
+
+def stage_meta(stage):
+    def authored(name, convert):
+        return convert(stage.GetMetadata(name)) if stage.HasAuthoredMetadata(name) else None
+
+    def numeric(name):
+        return authored(name, number)
+
+    ranged = stage.HasAuthoredTimeCodeRange()
+    rate = numeric("timeCodesPerSecond")
+    return {
+        "up_axis": authored("upAxis", str),
+        "meters_per_unit": numeric("metersPerUnit"),
+        "default_prim": authored("defaultPrim", str),
+        "start_time_code": number(stage.GetStartTimeCode()) if ranged else None,
+        "end_time_code": number(stage.GetEndTimeCode()) if ranged else None,
+        "time_codes_per_second": rate if rate is not None else numeric("framesPerSecond"),
+        "render_settings_prim_path": authored("renderSettingsPrimPath", str),
+        # anonymous layers (the session's) have no name that means anything outside this process
+        "layers": sorted(layer.identifier for layer in stage.GetUsedLayers() if not layer.anonymous),
+    }
+
+
+def main():
+    worker = Worker()
+    reply({"ok": {"usd": ".".join(str(part) for part in Usd.GetVersion()), "numpy": numpy.__version__}})
+    for line in REQUESTS:
+        reply(worker.answer(json.loads(line)))
+    # surflux is gone; if it could not clean up after itself, do it here
+    for folder in worker.scratch:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+main()

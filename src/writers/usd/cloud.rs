@@ -1,0 +1,156 @@
+//! [`SurfelCloud`] → a UsdGeomPoints file, as `stage::cloud` reads it back.
+//!
+//! ```text
+//! def Xform "root"            translated by the cloud's origin, in double precision
+//!   def Points "surfels"      SurfluxCloudAPI; one value of everything for each surfel
+//! ```
+//! `normals` is what renderers read, `primvars:N` the copy that Blender keeps. `displayColor` is radiosity / π: the
+//! radiance a viewer would see. Every interpolation is authored, for lack of it means `constant` to some readers.
+
+use super::opinions::{Declaration, Opinions};
+use super::{Error, Provenance, author_metadata, save};
+use crate::scene::StageInfo;
+use crate::surfels::SurfelCloud;
+use glam::Vec3;
+use openusd::gf;
+use openusd::sdf::{FieldKey, Path as SdfPath, TokenListOp, Value};
+use openusd::tf::Token;
+use std::collections::HashMap;
+use std::f32::consts::FRAC_1_PI;
+use std::path::Path;
+
+/// What a cloud says of itself besides its surfels.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct CloudOptions {
+    /// Version, command line, comment.
+    pub provenance: Provenance,
+    /// Light group whose light it holds; `None` = all light.
+    pub light_group: Option<String>,
+}
+
+/// Write `cloud`, baked from the stage that `scene_stage` tells of, to `path`.
+///
+/// # Errors
+/// When the file cannot be written; nothing is left behind then.
+pub fn write(
+    cloud: &SurfelCloud,
+    scene_stage: &StageInfo,
+    path: &Path,
+    options: &CloudOptions,
+) -> Result<(), Error> {
+    let mut layer = Opinions::new();
+    author_metadata(&mut layer, scene_stage, &options.provenance);
+    layer.set(
+        &SdfPath::abs_root(),
+        FieldKey::DefaultPrim,
+        Value::Token(Token::new("root")),
+    );
+    author_root(&mut layer, cloud)?;
+    let surfels = layer.define("/root/surfels", "Points")?;
+    author_about(&mut layer, &surfels, cloud, (scene_stage, options))?;
+    author_columns(&mut layer, &surfels, cloud)?;
+    save(&layer.finish(), path)
+}
+
+fn author_root(layer: &mut Opinions, cloud: &SurfelCloud) -> Result<(), Error> {
+    let root = layer.define("/root", "Xform")?;
+    if cloud.origin == glam::DVec3::ZERO {
+        return Ok(());
+    }
+    let name = "xformOp:translate";
+    let declaration = Declaration {
+        name,
+        type_name: "double3",
+        interpolation: None,
+    };
+    let translate = layer.attribute(&root, declaration)?;
+    let origin = gf::Vec3d::from(cloud.origin.to_array());
+    layer.set(&translate, FieldKey::Default, Value::Vec3d(origin));
+    let order = Value::TokenVec(vec![Token::new(name)]);
+    layer.uniform(&root, "xformOpOrder", "token[]", order)?;
+    Ok(())
+}
+
+/// Schema, source, spacing and the paths that `primvars:sourcePrim` counts.
+fn author_about(
+    layer: &mut Opinions,
+    surfels: &SdfPath,
+    cloud: &SurfelCloud,
+    (stage, options): (&StageInfo, &CloudOptions),
+) -> Result<(), Error> {
+    let schemas = TokenListOp::prepended([Token::new("SurfluxCloudAPI")]);
+    layer.set(surfels, FieldKey::ApiSchemas, Value::TokenListOp(schemas));
+    let paths = Value::StringVec(cloud.prim_paths.clone());
+    let surflux = HashMap::from([("primPaths".to_owned(), paths)]);
+    let custom = HashMap::from([("surflux".to_owned(), Value::Dictionary(surflux))]);
+    layer.set(surfels, FieldKey::CustomData, Value::Dictionary(custom));
+    let string = |text: &str| Value::String(text.to_owned());
+    let source = stage.path.to_string_lossy();
+    let version = string(&options.provenance.version);
+    layer.uniform(
+        surfels,
+        "surflux:spacing",
+        "float",
+        Value::Float(cloud.spacing),
+    )?;
+    layer.uniform(surfels, "surflux:sourceStage", "string", string(&source))?;
+    layer.uniform(surfels, "surflux:version", "string", version)?;
+    if let Some(group) = &options.light_group {
+        layer.uniform(surfels, "surflux:lightGroup", "string", string(group))?;
+    }
+    Ok(())
+}
+
+fn author_columns(
+    layer: &mut Opinions,
+    surfels: &SdfPath,
+    cloud: &SurfelCloud,
+) -> Result<(), Error> {
+    let display = vectors(cloud.radiosity.iter().map(|&b| b * FRAC_1_PI).collect());
+    let widths = cloud.radius.iter().map(|radius| 2.0 * radius).collect();
+    let sources = cloud.prim.iter();
+    let sources = sources.map(|&prim| i32::try_from(prim).unwrap_or(i32::MAX));
+    let mut author = |name, type_name, value| {
+        let is_plain = matches!(name, "extent" | "points");
+        let declaration = Declaration {
+            name,
+            type_name,
+            interpolation: (!is_plain).then_some("vertex"),
+        };
+        let attribute = layer.attribute(surfels, declaration)?;
+        layer.set(&attribute, FieldKey::Default, value);
+        Ok(())
+    };
+    let normals = || vectors(cloud.normal.clone());
+    author("extent", "float3[]", extent(cloud))?;
+    author("points", "point3f[]", vectors(cloud.position.clone()))?;
+    author("widths", "float[]", Value::FloatVec(widths))?;
+    author("normals", "normal3f[]", normals())?;
+    author("primvars:N", "normal3f[]", normals())?;
+    author("primvars:displayColor", "color3f[]", display)?;
+    let radiosity = vectors(cloud.radiosity.clone());
+    author("primvars:radiosity", "color3f[]", radiosity)?;
+    let albedo = vectors(cloud.albedo.clone());
+    author("primvars:albedo", "color3f[]", albedo)?;
+    let emission = vectors(cloud.emission.clone());
+    author("primvars:emission", "color3f[]", emission)?;
+    let area = Value::FloatVec(cloud.area.clone());
+    author("primvars:area", "float[]", area)?;
+    let sources = Value::IntVec(sources.collect());
+    author("primvars:sourcePrim", "int[]", sources)
+}
+
+/// Bounds of all disks taken as spheres, as USD's own `ComputeExtent` has it; a point at 0 for an empty cloud.
+fn extent(cloud: &SurfelCloud) -> Value {
+    let mut spheres = cloud.position.iter().zip(&cloud.radius);
+    let around = |(&center, &radius): (&Vec3, &f32)| (center - radius, center + radius);
+    let first = spheres.next().map_or((Vec3::ZERO, Vec3::ZERO), around);
+    let (low, high) = spheres
+        .map(around)
+        .fold(first, |all, one| (all.0.min(one.0), all.1.max(one.1)));
+    vectors(vec![low, high])
+}
+
+fn vectors(values: Vec<Vec3>) -> Value {
+    Value::Vec3fVec(bytemuck::cast_vec(values))
+}
