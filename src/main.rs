@@ -1,1 +1,5 @@
-fn main() {}
+//! The `surflux` program: see [`surflux::cli`].
+
+fn main() -> std::process::ExitCode {
+    surflux::cli::main()
+}

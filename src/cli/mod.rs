@@ -1,1 +1,100 @@
-//! The command line: arguments as typed → a job as meant.
+//! The command line: arguments as typed → a job as meant → exit code.
+#![expect(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "this module is what talks to the terminal"
+)]
+
+mod args;
+pub mod frames;
+mod info;
+mod job;
+mod log_sink;
+mod print;
+pub mod progress;
+
+use crate::diagnostics::{CancelToken, Diagnostics};
+use crate::pipeline;
+use args::{Cli, StageArgs};
+use clap::Parser;
+use std::process::ExitCode;
+
+/// Exit code of a run that failed.
+const FAILED: u8 = 1;
+/// Exit code of a command line that makes no sense.
+const USAGE: u8 = 2;
+
+/// Run the program with the process's own arguments.
+pub fn main() -> ExitCode {
+    let command_line: Vec<String> = std::env::args().collect();
+    let cli = Cli::parse();
+    let stage = cli.command.stage().clone_settings();
+    if let Err(error) = log_sink::install(stage.verbose, stage.quiet, stage.log_file.as_deref()) {
+        eprintln!("surflux: {error:#}");
+        return ExitCode::from(FAILED);
+    }
+    let job = match job::from_args(cli, &command_line) {
+        Ok(job) => job,
+        Err(usage) => {
+            eprintln!("surflux: {usage:#}\n\nFor more information, try '--help'.");
+            return ExitCode::from(USAGE);
+        }
+    };
+    match run(&job, &stage) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("surflux: {error:#}");
+            ExitCode::from(FAILED)
+        }
+    }
+}
+
+/// Settings of the run itself, apart from its job.
+struct RunSettings {
+    threads: usize,
+    progress: progress::ProgressMode,
+    json: bool,
+    verbose: u8,
+    quiet: bool,
+    log_file: Option<std::path::PathBuf>,
+}
+
+impl StageArgs {
+    fn clone_settings(&self) -> RunSettings {
+        RunSettings {
+            threads: self.threads,
+            progress: if self.quiet {
+                progress::ProgressMode::None
+            } else {
+                self.progress
+            },
+            json: self.json,
+            verbose: self.verbose,
+            quiet: self.quiet,
+            log_file: self.log_file.clone(),
+        }
+    }
+}
+
+fn run(job: &pipeline::Job, settings: &RunSettings) -> anyhow::Result<()> {
+    let cancel = CancelToken::default();
+    let on_signal = cancel.clone();
+    ctrlc::set_handler(move || on_signal.cancel())?;
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(settings.threads)
+        .build_global()?;
+    let diagnostics = Diagnostics::new(progress::sink(settings.progress), cancel);
+    if let pipeline::Job::Info(stage) = job {
+        let info = pipeline::info(stage, &diagnostics)?;
+        return info::print(&info, settings.json);
+    }
+    match pipeline::run(job, &diagnostics) {
+        Ok(report) => print::report(&report, settings.json, settings.quiet),
+        Err(error) => {
+            if !settings.quiet {
+                print::warnings(&diagnostics.warnings());
+            }
+            Err(error.into())
+        }
+    }
+}

@@ -50,6 +50,38 @@ impl SurfelCloud {
         self.position.is_empty()
     }
 
+    /// All surfels of `clouds`, which share one origin, as one cloud; prims are renumbered in the clouds' order.
+    /// The spacing is that of the finest.
+    pub fn joined(clouds: &[Self]) -> Self {
+        let mut all = clouds
+            .first()
+            .map(|first| Self {
+                origin: first.origin,
+                ..Self::default()
+            })
+            .unwrap_or_default();
+        for cloud in clouds {
+            debug_assert_eq!(
+                cloud.origin, all.origin,
+                "clouds are read relative to one origin"
+            );
+            let first_prim = u32::try_from(all.prim_paths.len()).expect("fewer than 2³² prims");
+            all.position.extend_from_slice(&cloud.position);
+            all.normal.extend_from_slice(&cloud.normal);
+            all.radius.extend_from_slice(&cloud.radius);
+            all.area.extend_from_slice(&cloud.area);
+            all.radiosity.extend_from_slice(&cloud.radiosity);
+            all.albedo.extend_from_slice(&cloud.albedo);
+            all.emission.extend_from_slice(&cloud.emission);
+            all.prim
+                .extend(cloud.prim.iter().map(|prim| prim + first_prim));
+            all.prim_paths.extend_from_slice(&cloud.prim_paths);
+            let finer = all.spacing == 0.0 || (cloud.spacing > 0.0 && cloud.spacing < all.spacing);
+            all.spacing = if finer { cloud.spacing } else { all.spacing };
+        }
+        all
+    }
+
     /// The reflected part of the radiosity of surfel `i`: never negative.
     pub fn reflected(&self, i: usize) -> Vec3 {
         (self.radiosity[i] - self.emission[i]).max(Vec3::ZERO)

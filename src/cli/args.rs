@@ -1,0 +1,255 @@
+//! Arguments as typed.
+
+use super::frames::Frames;
+use super::progress::ProgressMode;
+use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Point-based global illumination for USD stages.
+#[derive(Debug, Parser)]
+#[command(name = "surflux", version, about, max_term_width = 120)]
+pub(super) struct Cli {
+    #[command(subcommand)]
+    pub(super) command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub(super) enum Command {
+    /// Bake direct light into a surfel cloud (UsdGeomPoints).
+    #[command(after_help = "Example:\n  surflux points shot.usda -o cloud.usdc --surfels 500000")]
+    Points(PointsArgs),
+    /// Bake light at the points of every mesh into an override layer of primvars.
+    #[command(
+        after_help = "Example:\n  surflux bake asset.usd -o bake/asset.usdc --aov occlusion,irradiance\n\n\
+        Writes bake/asset.usdc (pure overs) and bake/asset_baked.usda, which sublayers it over the asset."
+    )]
+    Bake(BakeArgs),
+    /// Render light seen by a camera into the AOVs of an EXR.
+    #[command(
+        after_help = "Example:\n  surflux render shot.usda -o shot.####.exr --frames 101:110 --camera /cam \
+        --aov color,occlusion --preview"
+    )]
+    Render(RenderArgs),
+    /// Tell what is in a stage, in one screen.
+    #[command(after_help = "Example:\n  surflux info shot.usda --json")]
+    Info(InfoArgs),
+}
+
+/// Flags of every command.
+#[derive(Debug, Args)]
+pub(super) struct StageArgs {
+    /// The stage: .usd, .usda, .usdc or .usdz.
+    pub(super) stage: PathBuf,
+    /// How to read USD: the openusd crate, Pixar's usd-core in Python, or whichever is there.
+    #[arg(long, value_enum, default_value_t = UsdDoor::Auto, env = "SURFLUX_USD")]
+    pub(super) usd: UsdDoor,
+    /// Frames: 101, 101:110, 101:110x2, 101-110:2, 1,5,9. Without it: the default time.
+    #[arg(long, allow_hyphen_values = true)]
+    pub(super) frames: Option<Frames>,
+    /// Only these prims, what is below and what is above them.
+    #[arg(long, value_name = "PATHS", value_delimiter = ',')]
+    pub(super) mask: Vec<String>,
+    /// Purposes to include besides default.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "render")]
+    pub(super) purposes: Vec<PurposeName>,
+    /// Worker threads; 0 = one a core. Results do not depend on it.
+    #[arg(long, default_value_t = 0, env = "SURFLUX_THREADS")]
+    pub(super) threads: usize,
+    /// Progress on stderr.
+    #[arg(long, value_enum, default_value_t = ProgressMode::Auto)]
+    pub(super) progress: ProgressMode,
+    /// Statistics as JSON on stdout.
+    #[arg(long)]
+    pub(super) json: bool,
+    /// More messages (-v info, -vv debug).
+    #[arg(short, long, action = ArgAction::Count)]
+    pub(super) verbose: u8,
+    /// Errors only.
+    #[arg(short, long, conflicts_with = "verbose")]
+    pub(super) quiet: bool,
+    /// Write messages to a file too.
+    #[arg(long, value_name = "FILE")]
+    pub(super) log_file: Option<PathBuf>,
+}
+
+/// Flags of the commands that write.
+#[derive(Debug, Args)]
+pub(super) struct OutputArgs {
+    /// Output file.
+    #[arg(short, long, value_name = "FILE")]
+    pub(super) output: Option<PathBuf>,
+    /// Fail rather than replace a file.
+    #[arg(long)]
+    pub(super) no_clobber: bool,
+    /// List the outputs, compute nothing.
+    #[arg(long)]
+    pub(super) dry_run: bool,
+}
+
+/// Flags of dicing.
+#[derive(Debug, Args)]
+pub(super) struct SurfelArgs {
+    /// Surfel spacing, stage units.
+    #[arg(long, value_name = "LENGTH", value_parser = positive)]
+    pub(super) spacing: Option<f32>,
+    /// Number of surfels to aim at (without --spacing).
+    #[arg(long, value_name = "N", conflicts_with = "spacing")]
+    pub(super) surfels: Option<usize>,
+}
+
+/// Flags of gathering.
+#[derive(Debug, Args)]
+pub(super) struct GatherArgs {
+    /// Results, comma separated.
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    pub(super) aov: Vec<String>,
+    /// Diffuse reflections that `irradiance_indirect` holds.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(super) bounces: u32,
+    /// Gather engine.
+    #[arg(long, value_enum, default_value_t = EngineName::Auto)]
+    pub(super) gather: EngineName,
+    /// Rays a receiver (engine rays).
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(16..=1_048_576))]
+    pub(super) rays: u32,
+    /// Largest solid angle of a cluster, sr (engine paper).
+    #[arg(long, alias = "maxsolidangle", value_name = "SR", default_value_t = 0.03, value_parser = positive)]
+    pub(super) max_solid_angle: f32,
+    /// Pixels along a side of the raster cube (engine paper).
+    #[arg(long, alias = "rasterresolution", value_name = "N", default_value_t = 12,
+        value_parser = clap::value_parser!(u32).range(2..=256))]
+    pub(super) raster_resolution: u32,
+    /// Nothing farther than this covers or shines, stage units.
+    #[arg(long, alias = "maxdist", value_name = "LENGTH", value_parser = positive)]
+    pub(super) max_distance: Option<f32>,
+    /// Surfel clouds (UsdGeomPoints) that shine instead of the stage's own surfels; many times.
+    #[arg(long, value_name = "CLOUD")]
+    pub(super) cloud: Vec<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct PointsArgs {
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+    #[command(flatten)]
+    pub(super) output: OutputArgs,
+    #[command(flatten)]
+    pub(super) surfels: SurfelArgs,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct BakeArgs {
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+    #[command(flatten)]
+    pub(super) output: OutputArgs,
+    #[command(flatten)]
+    pub(super) surfels: SurfelArgs,
+    #[command(flatten)]
+    pub(super) gather: GatherArgs,
+    /// Layout of the primvars on meshes.
+    #[arg(long, value_enum, default_value_t = InterpolationName::Vertex)]
+    pub(super) interpolation: InterpolationName,
+    /// What to do about meshes below instances.
+    #[arg(long, value_enum, default_value_t = InstancesName::Shared)]
+    pub(super) instances: InstancesName,
+    /// AOV to show as displayColor; `none` leaves it alone. Default: the first one.
+    #[arg(long, value_name = "AOV|none")]
+    pub(super) display_color: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct RenderArgs {
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+    #[command(flatten)]
+    pub(super) output: OutputArgs,
+    #[command(flatten)]
+    pub(super) surfels: SurfelArgs,
+    #[command(flatten)]
+    pub(super) gather: GatherArgs,
+    /// Camera path or name. Default: the render settings' camera, the stage's first, or an automatic framing.
+    #[arg(long, value_name = "PATH")]
+    pub(super) camera: Option<String>,
+    /// Pixels across; the height follows the camera's aperture.
+    #[arg(long, alias = "imageWidth", value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    pub(super) image_width: Option<u32>,
+    /// Samples along a pixel's side.
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub(super) pixel_samples: u32,
+    /// One part, or one part an AOV.
+    #[arg(long, value_enum, default_value_t = ExrLayout::Single)]
+    pub(super) exr: ExrLayout,
+    /// Write a tone-mapped PNG of the first AOV beside the EXR.
+    #[arg(long)]
+    pub(super) preview: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct InfoArgs {
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum UsdDoor {
+    Auto,
+    Native,
+    UsdCore,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum PurposeName {
+    Default,
+    Render,
+    Proxy,
+    Guide,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum EngineName {
+    /// Engine rays, for now.
+    Auto,
+    /// Rays against the scene, radiance read from the surfels at the hit.
+    Rays,
+    /// The published method: surfels and clusters rasterized onto a cube.
+    Paper,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum InterpolationName {
+    Vertex,
+    #[value(name = "faceVarying", alias = "face-varying")]
+    FaceVarying,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum InstancesName {
+    Shared,
+    Deinstance,
+    Skip,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum ExrLayout {
+    Single,
+    Multipart,
+}
+
+fn positive(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err("a number greater than 0 is needed".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,119 @@
+//! `surflux info` on one screen.
+
+use super::print;
+use crate::pipeline::StageSummary;
+
+/// Names listed of each kind; `--json` has all.
+const LISTED: usize = 6;
+
+/// The summary on stdout, as JSON or for people.
+pub(super) fn print(summary: &StageSummary, json: bool) -> anyhow::Result<()> {
+    if json {
+        println!("{}", serde_json::to_string_pretty(summary)?);
+        return Ok(());
+    }
+    println!(
+        "{} (read with {} in {:.2} s, {} layers)",
+        summary.stage, summary.usd, summary.seconds, summary.layers
+    );
+    println!(
+        "  up {}, {} m a unit{}",
+        summary.up_axis,
+        summary.meters_per_unit,
+        times(summary)
+    );
+    if let Some([low, high]) = summary.bounds {
+        println!("  bounds  {} to {}", point(low), point(high));
+    }
+    geometry(summary);
+    let light = |l: &crate::pipeline::LightSummary| {
+        let [r, g, b] = l.radiance;
+        let texture = l
+            .texture
+            .as_ref()
+            .map(|file| format!(", {file}"))
+            .unwrap_or_default();
+        format!("{} {} ({r:.3} {g:.3} {b:.3}{texture})", l.kind, l.path)
+    };
+    list("lights", summary.lights.iter().map(light));
+    list("cameras", summary.cameras.iter().cloned());
+    list(
+        "materials",
+        summary.materials.iter().map(|material| {
+            let textures: Vec<String> = material
+                .textures
+                .iter()
+                .map(|(input, file)| format!("{input} {file}"))
+                .collect();
+            if textures.is_empty() {
+                material.path.clone()
+            } else {
+                format!("{}: {}", material.path, textures.join(", "))
+            }
+        }),
+    );
+    list(
+        "render settings",
+        summary.render_settings.iter().map(|settings| {
+            let (width, height) = settings.resolution;
+            let products: Vec<String> = settings
+                .products
+                .iter()
+                .map(|(name, vars)| format!("{name} [{}]", vars.join(" ")))
+                .collect();
+            format!("{} {width}×{height} {}", settings.path, products.join(", "))
+        }),
+    );
+    print::warnings(&summary.warnings);
+    Ok(())
+}
+
+fn times(summary: &StageSummary) -> String {
+    match summary.time_range {
+        Some((start, end)) => format!(
+            ", time codes {start} to {end} at {} a second",
+            summary.time_codes_per_second
+        ),
+        None => String::new(),
+    }
+}
+
+fn point(p: [f64; 3]) -> String {
+    format!("({:.4} {:.4} {:.4})", p[0], p[1], p[2])
+}
+
+fn geometry(summary: &StageSummary) {
+    let g = &summary.geometry;
+    let schemes: Vec<String> = g
+        .schemes
+        .iter()
+        .map(|(scheme, count)| format!("{count} {scheme}"))
+        .collect();
+    println!(
+        "  surfaces {} ({} native, {} point instances) of {} meshes ({})",
+        g.prims,
+        g.native_instances,
+        g.point_instances,
+        g.meshes,
+        schemes.join(", ")
+    );
+    println!(
+        "  {} points to bake, {} triangles after refinement",
+        g.points, g.triangles
+    );
+}
+
+fn list(title: &str, items: impl ExactSizeIterator<Item = String>) {
+    let count = items.len();
+    if count == 0 {
+        println!("  {title}: none");
+        return;
+    }
+    println!("  {title}: {count}");
+    for item in items.take(LISTED) {
+        println!("    {item}");
+    }
+    if count > LISTED {
+        println!("    … and {} more (all in --json)", count - LISTED);
+    }
+}

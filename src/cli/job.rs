@@ -1,0 +1,199 @@
+//! Arguments as typed → a [`Job`] as meant.
+
+use super::args::{
+    BakeArgs, Cli, Command, EngineName, ExrLayout, GatherArgs, InstancesName, InterpolationName,
+    OutputArgs, PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor,
+};
+use crate::bake::BakeSettings;
+use crate::pipeline::{
+    BakeJob, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,
+};
+use crate::results::{Aov, BakeInterpolation};
+use crate::scene::Purpose;
+use crate::stage::Door;
+use crate::writers::usd::layer::InstancePolicy;
+use anyhow::{Context, bail};
+use std::path::Path;
+
+impl Command {
+    /// The flags that every command has.
+    pub(super) fn stage(&self) -> &StageArgs {
+        match self {
+            Self::Points(args) => &args.stage,
+            Self::Bake(args) => &args.stage,
+            Self::Render(args) => &args.stage,
+            Self::Info(args) => &args.stage,
+        }
+    }
+}
+
+/// The job that `cli` means.
+///
+/// # Errors
+/// What a person typed wrong: unknown AOVs, missing outputs, wrong extensions.
+pub(super) fn from_args(cli: Cli, command_line: &[String]) -> anyhow::Result<Job> {
+    Ok(match cli.command {
+        Command::Points(args) => Job::Points(points(args, command_line)?),
+        Command::Bake(args) => Job::Bake(bake(args, command_line)?),
+        Command::Render(args) => Job::Render(render(args, command_line)?),
+        Command::Info(args) => Job::Info(stage(args.stage, command_line)),
+    })
+}
+
+fn stage(args: StageArgs, command_line: &[String]) -> StageJob {
+    StageJob {
+        path: args.stage,
+        door: match args.usd {
+            UsdDoor::Auto => Door::Auto,
+            UsdDoor::Native => Door::Native,
+            UsdDoor::UsdCore => Door::UsdCore,
+        },
+        frames: args.frames.map(|frames| frames.0).unwrap_or_default(),
+        mask: args.mask,
+        purposes: args.purposes.into_iter().map(purpose).collect(),
+        command: command_line.to_vec(),
+    }
+}
+
+fn purpose(name: PurposeName) -> Purpose {
+    match name {
+        PurposeName::Default => Purpose::Default,
+        PurposeName::Render => Purpose::Render,
+        PurposeName::Proxy => Purpose::Proxy,
+        PurposeName::Guide => Purpose::Guide,
+    }
+}
+
+fn output(args: OutputArgs, extensions: &[&str]) -> anyhow::Result<OutputJob> {
+    if let Some(path) = &args.output {
+        check_extension(path, extensions)?;
+    }
+    Ok(OutputJob {
+        path: args.output,
+        no_clobber: args.no_clobber,
+        dry_run: args.dry_run,
+    })
+}
+
+fn check_extension(path: &Path, extensions: &[&str]) -> anyhow::Result<()> {
+    let extension = path
+        .extension()
+        .and_then(|extension| extension.to_str())
+        .unwrap_or_default();
+    if extensions.contains(&extension) {
+        return Ok(());
+    }
+    bail!(
+        "--output {}: the name must end in .{}",
+        path.display(),
+        extensions.join(" or .")
+    )
+}
+
+const USD_EXTENSIONS: &[&str] = &["usdc", "usda", "usd"];
+
+fn points(args: PointsArgs, command_line: &[String]) -> anyhow::Result<PointsJob> {
+    args.output
+        .output
+        .as_ref()
+        .context("points needs --output CLOUD.usdc")?;
+    let defaults = BakeSettings::default();
+    let SurfelArgs { spacing, surfels } = args.surfels;
+    Ok(PointsJob {
+        stage: stage(args.stage, command_line),
+        output: output(args.output, USD_EXTENSIONS)?,
+        bake: BakeSettings {
+            spacing,
+            surfels: surfels.unwrap_or(defaults.surfels),
+        },
+    })
+}
+
+fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
+    let mut aovs: Vec<Aov> = Vec::new();
+    for name in &args.aov {
+        let aov = name.trim().parse::<Aov>().context("--aov")?;
+        if !aovs.contains(&aov) {
+            aovs.push(aov);
+        }
+    }
+    if args.bounces == 0 && aovs.contains(&Aov::IrradianceIndirect) {
+        bail!("--bounces 0 leaves nothing for irradiance_indirect (right: 1 or more)");
+    }
+    Ok(GatherJob {
+        aovs,
+        bounces: args.bounces,
+        engine: match args.gather {
+            EngineName::Auto | EngineName::Rays => EngineChoice::Rays,
+            EngineName::Paper => EngineChoice::Paper,
+        },
+        rays: args.rays,
+        max_solid_angle: args.max_solid_angle,
+        raster_resolution: args.raster_resolution,
+        max_distance: args.max_distance,
+        clouds: args.cloud,
+        spacing: surfels.spacing,
+        surfels: surfels.surfels,
+    })
+}
+
+fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
+    args.output
+        .output
+        .as_ref()
+        .context("bake needs --output DIR/NAME.usdc")?;
+    let mut gather = gather(args.gather, args.surfels)?;
+    if gather.aovs.is_empty() {
+        gather.aovs = vec![Aov::Occlusion, Aov::Irradiance];
+    }
+    if gather.aovs.contains(&Aov::Depth) {
+        bail!("--aov depth: a bake has no camera to measure depth from (use render)");
+    }
+    let display_color = match args.display_color.as_deref() {
+        Some("none") => None,
+        Some(name) => Some(name.parse::<Aov>().context("--display-color")?),
+        None => gather.aovs.first().copied(),
+    };
+    if let Some(aov) = display_color.filter(|aov| !gather.aovs.contains(aov)) {
+        gather.aovs.push(aov);
+    }
+    Ok(BakeJob {
+        stage: stage(args.stage, command_line),
+        output: output(args.output, USD_EXTENSIONS)?,
+        gather,
+        interpolation: match args.interpolation {
+            InterpolationName::Vertex => BakeInterpolation::Vertex,
+            InterpolationName::FaceVarying => BakeInterpolation::FaceVarying,
+        },
+        instances: match args.instances {
+            InstancesName::Shared => InstancePolicy::Shared,
+            InstancesName::Deinstance => InstancePolicy::Deinstance,
+            InstancesName::Skip => InstancePolicy::Skip,
+        },
+        display_color,
+    })
+}
+
+fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob> {
+    let job = RenderJob {
+        stage: stage(args.stage, command_line),
+        output: output(args.output, &["exr"])?,
+        gather: gather(args.gather, args.surfels)?,
+        camera: args.camera,
+        image_width: args.image_width,
+        pixel_samples: args.pixel_samples,
+        multipart: args.exr == ExrLayout::Multipart,
+        preview: args.preview,
+    };
+    let pattern = job
+        .output
+        .path
+        .as_ref()
+        .is_some_and(|path| path.to_string_lossy().contains('#'));
+    if job.output.path.is_some() && job.stage.frames.len() > 1 && !pattern {
+        bail!(
+            "--output needs #### in its name where several frames are rendered (right: shot.####.exr)"
+        );
+    }
+    Ok(job)
+}

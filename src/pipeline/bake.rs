@@ -1,0 +1,107 @@
+//! `surflux bake`: light at the points of meshes, as primvars.
+
+use super::gather::{gather, record};
+use super::job::BakeJob;
+use super::report::{Report, timed};
+use super::world::{Needs, World, read_settings, with_world};
+use super::{Error, outputs, provenance};
+use crate::diagnostics::Diagnostics;
+use crate::receivers::primvar;
+use crate::results::{Results, Target};
+use crate::scene::PrimId;
+use crate::stage;
+use crate::writers::usd::layer::{BakeOptions, LayerWriter};
+use std::path::{Path, PathBuf};
+
+pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
+    let mut report = Report::new(&job.stage.command);
+    let path = job
+        .output
+        .path
+        .as_deref()
+        .unwrap_or_else(|| Path::new("bake.usdc"));
+    let planned = files(path);
+    outputs::check(&job.output, &planned)?;
+    if job.output.dry_run {
+        report.outputs = planned;
+        return Ok(report);
+    }
+    record(&job.gather, &job.gather.aovs, &mut report);
+    let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
+    let mut writer: Option<LayerWriter> = None;
+    for time in job.stage.times() {
+        let settings = read_settings(&job.stage, time, Needs::of(&job.gather.aovs));
+        with_world(
+            source.as_mut(),
+            &settings,
+            &mut report,
+            diagnostics,
+            |world, report| {
+                let (target, results) = bake(world, job, (&mut *report, diagnostics))?;
+                let Target::Primvars(spans) = &target else {
+                    unreachable!("points of meshes are primvar receivers")
+                };
+                let writer = writer
+                    .get_or_insert_with(|| LayerWriter::new(&world.scene().stage, options(job)));
+                timed(&mut report.seconds.write, || {
+                    writer.add((world.scene(), spans), &results, time, diagnostics)
+                });
+                Ok(())
+            },
+        )?;
+    }
+    let Some(writer) = writer else {
+        return Err(Error::NothingToBake {
+            path: job.stage.path.clone(),
+        });
+    };
+    report.outputs = timed(&mut report.seconds.write, || {
+        let _phase = diagnostics.phase("write", "file", 0);
+        writer.write(path)
+    })?;
+    Ok(report)
+}
+
+/// The layer of overs and the stage that shows it.
+fn files(layer: &Path) -> Vec<PathBuf> {
+    let stem = layer.file_stem().unwrap_or_default().to_string_lossy();
+    vec![
+        layer.to_path_buf(),
+        layer.with_file_name(format!("{stem}_baked.usda")),
+    ]
+}
+
+fn options(job: &BakeJob) -> BakeOptions {
+    BakeOptions {
+        aovs: job.gather.aovs.clone(),
+        display_color: job.display_color,
+        instances: job.instances,
+        provenance: provenance(&job.stage),
+    }
+}
+
+/// Gather at all points of one frame.
+fn bake(
+    world: &World<'_>,
+    job: &BakeJob,
+    (report, diagnostics): (&mut Report, &Diagnostics),
+) -> Result<(Target, Results), Error> {
+    let scene = world.scene();
+    let prims: Vec<PrimId> = (0_u32..).map(PrimId).take(scene.prims.len()).collect();
+    let receivers = timed(&mut report.seconds.gather, || {
+        primvar::place(scene, &prims, job.interpolation)
+    });
+    if receivers.is_empty() {
+        return Err(Error::NothingToBake {
+            path: scene.stage.path.clone(),
+        });
+    }
+    let results = gather(
+        world,
+        &receivers,
+        &job.gather.aovs,
+        &job.gather,
+        (report, diagnostics),
+    )?;
+    Ok((receivers.target, results))
+}

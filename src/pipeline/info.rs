@@ -1,0 +1,217 @@
+//! What is in a stage: the TD's first look.
+
+use super::world::{Needs, read_settings};
+use super::{Error, StageJob};
+use crate::diagnostics::{Diagnostics, Warning};
+use crate::scene::{Input, Light, LightKind, Material, PrimSource, Scene};
+use crate::stage;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// A stage in numbers and names.
+#[derive(Debug, Clone, Serialize)]
+pub struct StageSummary {
+    /// Version of surflux.
+    pub surflux: &'static str,
+    /// Root layer as given.
+    pub stage: String,
+    /// `native` or `usd-core`.
+    pub usd: String,
+    /// `Y` or `Z`.
+    pub up_axis: String,
+    /// Meters in one stage unit.
+    pub meters_per_unit: f64,
+    /// `defaultPrim`.
+    pub default_prim: Option<String>,
+    /// Start and end time codes.
+    pub time_range: Option<(f64, f64)>,
+    /// Time codes a second.
+    pub time_codes_per_second: f64,
+    /// Time code read; none = default time.
+    pub time: Option<f64>,
+    /// Number of layers used.
+    pub layers: usize,
+    /// World bounds: lower, upper corner, stage units; none for a stage without surfaces.
+    pub bounds: Option<[[f64; 3]; 2]>,
+    /// Surfaces.
+    pub geometry: GeometrySummary,
+    /// Lights.
+    pub lights: Vec<LightSummary>,
+    /// Camera paths.
+    pub cameras: Vec<String>,
+    /// Materials and their textures.
+    pub materials: Vec<MaterialSummary>,
+    /// Render settings and their products.
+    pub render_settings: Vec<RenderSummary>,
+    /// Seconds it took to read.
+    pub seconds: f64,
+    /// What surflux cannot use, and with what consequence.
+    pub warnings: Vec<Warning>,
+}
+
+/// Surfaces of a stage.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct GeometrySummary {
+    /// Visible surfaces, instances counted each.
+    pub prims: usize,
+    /// Meshes held, shared ones once.
+    pub meshes: usize,
+    /// Prims below native instances.
+    pub native_instances: usize,
+    /// Prims drawn by `PointInstancer`s.
+    pub point_instances: usize,
+    /// Authored points a bake would write to, instances counted each.
+    pub points: usize,
+    /// Triangles after refinement, instances counted each.
+    pub triangles: usize,
+    /// Meshes by subdivision scheme or gprim type.
+    pub schemes: BTreeMap<String, usize>,
+}
+
+/// One light.
+#[derive(Debug, Clone, Serialize)]
+pub struct LightSummary {
+    /// Path.
+    pub path: String,
+    /// `DistantLight`, …
+    pub kind: &'static str,
+    /// Radiance before `normalize`, linear Rec.709.
+    pub radiance: [f32; 3],
+    /// Texture file.
+    pub texture: Option<String>,
+}
+
+/// One material.
+#[derive(Debug, Clone, Serialize)]
+pub struct MaterialSummary {
+    /// Path.
+    pub path: String,
+    /// Input name → texture file.
+    pub textures: BTreeMap<String, String>,
+}
+
+/// One render settings prim.
+#[derive(Debug, Clone, Serialize)]
+pub struct RenderSummary {
+    /// Path.
+    pub path: String,
+    /// Pixels.
+    pub resolution: (u32, u32),
+    /// Product name → its AOVs.
+    pub products: BTreeMap<String, Vec<String>>,
+}
+
+/// Read the stage of `job` at its first frame and tell what is in it.
+///
+/// # Errors
+/// Whatever reading reports.
+pub fn info(job: &StageJob, diagnostics: &Diagnostics) -> Result<StageSummary, Error> {
+    let start = std::time::Instant::now();
+    let phase = diagnostics.phase("read", "stage", 0);
+    let mut source = stage::open(&job.path, job.door, diagnostics)?;
+    let settings = read_settings(job, job.times()[0], Needs::ALL);
+    let scene = stage::read(source.as_mut(), &settings, diagnostics)?;
+    drop(phase);
+    let mut summary = summarize(&scene);
+    summary.seconds = start.elapsed().as_secs_f64();
+    summary.warnings = diagnostics.warnings();
+    Ok(summary)
+}
+
+fn summarize(scene: &Scene) -> StageSummary {
+    let stage = &scene.stage;
+    let bounds = scene.bounds();
+    let corner = |p: glam::Vec3| (scene.origin + p.as_dvec3()).to_array();
+    StageSummary {
+        surflux: env!("CARGO_PKG_VERSION"),
+        stage: stage.path.display().to_string(),
+        usd: stage.reader.clone(),
+        up_axis: format!("{:?}", stage.up_axis),
+        meters_per_unit: stage.meters_per_unit,
+        default_prim: stage.default_prim.clone(),
+        time_range: stage.time_range,
+        time_codes_per_second: stage.time_codes_per_second,
+        time: stage.time,
+        layers: stage.layers.len(),
+        bounds: (!bounds.is_empty()).then(|| [corner(bounds.min), corner(bounds.max)]),
+        geometry: geometry(scene),
+        lights: scene.lights.iter().map(light).collect(),
+        cameras: scene
+            .cameras
+            .iter()
+            .map(|camera| camera.path.clone())
+            .collect(),
+        materials: scene.materials.iter().map(material).collect(),
+        render_settings: scene.render_settings.iter().map(render).collect(),
+        seconds: 0.0,
+        warnings: Vec::new(),
+    }
+}
+
+fn geometry(scene: &Scene) -> GeometrySummary {
+    let mut summary = GeometrySummary {
+        prims: scene.prims.len(),
+        meshes: scene.meshes.len(),
+        triangles: scene.triangle_count(),
+        ..GeometrySummary::default()
+    };
+    for mesh in &scene.meshes {
+        *summary.schemes.entry(mesh.scheme.clone()).or_default() += 1;
+    }
+    for prim in &scene.prims {
+        summary.points += scene
+            .mesh_of(prim)
+            .cage
+            .as_ref()
+            .map_or(0, |cage| cage.point_count);
+        match prim.source {
+            PrimSource::Direct => {}
+            PrimSource::NativeInstance { .. } => summary.native_instances += 1,
+            PrimSource::PointInstance { .. } => summary.point_instances += 1,
+        }
+    }
+    summary
+}
+
+fn light(light: &Light) -> LightSummary {
+    let (kind, texture) = match &light.kind {
+        LightKind::Distant { .. } => ("DistantLight", None),
+        LightKind::Sphere { .. } => ("SphereLight", None),
+        LightKind::Rect { texture, .. } => ("RectLight", texture.as_ref()),
+        LightKind::Disk { .. } => ("DiskLight", None),
+        LightKind::Cylinder { .. } => ("CylinderLight", None),
+        LightKind::Dome { texture } => ("DomeLight", texture.as_ref()),
+    };
+    LightSummary {
+        path: light.path.clone(),
+        kind,
+        radiance: light.radiance.to_array(),
+        texture: texture.map(|path| path.display().to_string()),
+    }
+}
+
+fn material(material: &Material) -> MaterialSummary {
+    let texture = |(name, input): (&'static str, &Input)| match input {
+        Input::Texture(read) => Some((name.to_owned(), read.file.display().to_string())),
+        Input::Constant(_) | Input::Primvar { .. } => None,
+    };
+    MaterialSummary {
+        path: material.path.clone(),
+        textures: material.inputs().into_iter().filter_map(texture).collect(),
+    }
+}
+
+fn render(settings: &crate::scene::RenderSettings) -> RenderSummary {
+    let vars = |product: &crate::scene::RenderProduct| {
+        product.vars.iter().map(|var| var.name.clone()).collect()
+    };
+    RenderSummary {
+        path: settings.path.clone(),
+        resolution: settings.resolution,
+        products: settings
+            .products
+            .iter()
+            .map(|product| (product.name.clone(), vars(product)))
+            .collect(),
+    }
+}

@@ -1,0 +1,158 @@
+//! Jobs as meant: everything that was typed, checked and resolved.
+
+use crate::bake::BakeSettings;
+use crate::results::{Aov, BakeInterpolation};
+use crate::scene::Purpose;
+use crate::stage::Door;
+use std::path::PathBuf;
+
+/// What all jobs say about their stage.
+#[derive(Debug, Clone)]
+pub struct StageJob {
+    /// Root layer.
+    pub path: PathBuf,
+    /// How to read it.
+    pub door: Door,
+    /// Time codes; empty = the default time.
+    pub frames: Vec<f64>,
+    /// Population mask.
+    pub mask: Vec<String>,
+    /// Purposes besides `default`.
+    pub purposes: Vec<Purpose>,
+    /// The command line, stored in outputs and statistics.
+    pub command: Vec<String>,
+}
+
+impl StageJob {
+    /// The times to read at: the frames, or the default time once.
+    pub fn times(&self) -> Vec<Option<f64>> {
+        if self.frames.is_empty() {
+            vec![None]
+        } else {
+            self.frames.iter().copied().map(Some).collect()
+        }
+    }
+}
+
+/// Which engine gathers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EngineChoice {
+    /// Ray tracing, radiance from surfels.
+    Rays,
+    /// The published method.
+    Paper,
+}
+
+/// How to gather.
+#[derive(Debug, Clone)]
+pub struct GatherJob {
+    /// Results in order; empty for a render = what the stage's render settings ask, or `color`.
+    pub aovs: Vec<Aov>,
+    /// Reflections.
+    pub bounces: u32,
+    /// The engine.
+    pub engine: EngineChoice,
+    /// Rays a receiver.
+    pub rays: u32,
+    /// sr.
+    pub max_solid_angle: f32,
+    /// Pixels.
+    pub raster_resolution: u32,
+    /// Stage units.
+    pub max_distance: Option<f32>,
+    /// Clouds that shine instead of the stage's own surfels.
+    pub clouds: Vec<PathBuf>,
+    /// Dicing; `None` for the count = from the number of receivers.
+    pub spacing: Option<f32>,
+    /// Surfels to aim at.
+    pub surfels: Option<usize>,
+}
+
+/// Surfels aimed at when nothing is asked: enough for the light of a room, up to a tenth of a surfel a receiver more.
+const SURFELS: std::ops::RangeInclusive<usize> = 100_000..=500_000;
+
+impl GatherJob {
+    /// Dicing for `receivers` receivers.
+    pub fn bake_settings(&self, receivers: usize) -> BakeSettings {
+        let wanted = self
+            .surfels
+            .unwrap_or_else(|| receivers.clamp(*SURFELS.start(), *SURFELS.end()));
+        BakeSettings {
+            spacing: self.spacing,
+            surfels: wanted,
+        }
+    }
+}
+
+/// `surflux points`.
+#[derive(Debug, Clone)]
+pub struct PointsJob {
+    /// The stage.
+    pub stage: StageJob,
+    /// The cloud.
+    pub output: OutputJob,
+    /// Dicing.
+    pub bake: BakeSettings,
+}
+
+/// `surflux bake`.
+#[derive(Debug, Clone)]
+pub struct BakeJob {
+    /// The stage.
+    pub stage: StageJob,
+    /// The layer.
+    pub output: OutputJob,
+    /// Gathering.
+    pub gather: GatherJob,
+    /// Layout.
+    pub interpolation: BakeInterpolation,
+    /// What to do below instances.
+    pub instances: crate::writers::usd::layer::InstancePolicy,
+    /// Shown as displayColor.
+    pub display_color: Option<Aov>,
+}
+
+/// `surflux render`.
+#[derive(Debug, Clone)]
+pub struct RenderJob {
+    /// The stage.
+    pub stage: StageJob,
+    /// The image; no path = the render product's name.
+    pub output: OutputJob,
+    /// Gathering.
+    pub gather: GatherJob,
+    /// Path or name.
+    pub camera: Option<String>,
+    /// Pixels across.
+    pub image_width: Option<u32>,
+    /// Samples along a pixel's side.
+    pub pixel_samples: u32,
+    /// One part an AOV.
+    pub multipart: bool,
+    /// PNG beside the EXR.
+    pub preview: bool,
+}
+
+/// Where to write.
+#[derive(Debug, Clone)]
+pub struct OutputJob {
+    /// File, with `####` for the frame where several are written.
+    pub path: Option<PathBuf>,
+    /// Fail rather than replace.
+    pub no_clobber: bool,
+    /// List only.
+    pub dry_run: bool,
+}
+
+/// Anything surflux does.
+#[derive(Debug, Clone)]
+pub enum Job {
+    /// Bake a cloud.
+    Points(PointsJob),
+    /// Bake primvars.
+    Bake(BakeJob),
+    /// Render an image.
+    Render(RenderJob),
+    /// Tell.
+    Info(StageJob),
+}

@@ -1,0 +1,101 @@
+//! `run(Job)`: the steps in order; the only module that knows them all.
+
+mod bake;
+mod gather;
+mod info;
+mod job;
+mod outputs;
+mod points;
+mod render;
+mod report;
+mod view;
+mod world;
+
+pub use info::{GeometrySummary, LightSummary, MaterialSummary, RenderSummary, StageSummary, info};
+pub use job::{BakeJob, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob};
+pub use report::{Counts, ErrorReport, Report, Seconds};
+
+use crate::diagnostics::{Cancelled, Diagnostics};
+use std::path::PathBuf;
+
+/// Why a job failed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The stage could not be read.
+    #[error(transparent)]
+    Stage(#[from] crate::stage::Error),
+    /// A USD file could not be written.
+    #[error(transparent)]
+    WriteUsd(#[from] crate::writers::usd::Error),
+    /// An image could not be written.
+    #[error(transparent)]
+    WriteImage(#[from] crate::writers::image::Error),
+    /// The user cancelled; nothing partial stays.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// There is nothing to work on.
+    #[error("{}: no visible surface is on the stage (wanted: meshes or gprims, of purpose default or one in --purposes, below --mask)", path.display())]
+    NothingToLight {
+        /// The stage.
+        path: PathBuf,
+    },
+    /// An output exists and `--no-clobber` was given.
+    #[error("{} exists already, and --no-clobber was given", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// An output's folder is missing.
+    #[error("cannot write {}: {} is not a folder (create it first)", path.display(), folder.display())]
+    NoFolder {
+        /// The file.
+        path: PathBuf,
+        /// Its folder.
+        folder: PathBuf,
+    },
+    /// No such camera.
+    #[error("no camera {name} is on the stage; there are: {known}")]
+    NoCamera {
+        /// As asked for.
+        name: String,
+        /// Paths of all.
+        known: String,
+    },
+    /// A render without a name to write to.
+    #[error("render needs --output NAME.exr: the stage has no render product that names a file")]
+    NoProduct,
+    /// A bake without meshes.
+    #[error("{}: no mesh is on the stage that values could be written to", path.display())]
+    NothingToBake {
+        /// The stage.
+        path: PathBuf,
+    },
+}
+
+/// Do `job`; returns its statistics.
+///
+/// # Errors
+/// The first thing that went wrong; files already complete stay, nothing partial does.
+pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
+    let start = std::time::Instant::now();
+    let mut report = match job {
+        Job::Points(job) => points::run(job, diagnostics)?,
+        Job::Bake(job) => bake::run(job, diagnostics)?,
+        Job::Render(job) => render::run(job, diagnostics)?,
+        Job::Info(stage) => Report::new(&stage.command),
+    };
+    report.seconds.total = start.elapsed().as_secs_f64();
+    report.peak_memory_bytes = report::peak_memory_bytes();
+    report.warnings = diagnostics.warnings();
+    Ok(report)
+}
+
+/// Where an output of `job` comes from, as written into it.
+fn provenance(job: &StageJob) -> crate::writers::usd::Provenance {
+    crate::writers::usd::Provenance {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        command: job.command.clone(),
+        comment: None,
+    }
+}

@@ -1,0 +1,56 @@
+//! `surflux points`: direct light baked into a cloud. PBGI §4.
+
+use super::gather::dice;
+use super::job::PointsJob;
+use super::report::{Report, timed};
+use super::world::{Needs, read_settings, with_world};
+use super::{Error, outputs, provenance};
+use crate::diagnostics::Diagnostics;
+use crate::stage;
+use crate::writers::usd::cloud::{self, CloudOptions};
+use std::path::Path;
+
+pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
+    let mut report = Report::new(&job.stage.command);
+    let pattern = job
+        .output
+        .path
+        .as_deref()
+        .unwrap_or_else(|| Path::new("cloud.usdc"));
+    let frames: Vec<_> = job
+        .stage
+        .times()
+        .into_iter()
+        .map(|time| (time, outputs::frame_path(pattern, time)))
+        .collect();
+    report.outputs = frames.iter().map(|(_, path)| path.clone()).collect();
+    outputs::check(&job.output, &report.outputs)?;
+    if job.output.dry_run {
+        return Ok(report);
+    }
+    let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
+    for (time, path) in &frames {
+        let settings = read_settings(&job.stage, *time, Needs::ALL);
+        with_world(
+            source.as_mut(),
+            &settings,
+            &mut report,
+            diagnostics,
+            |world, report| {
+                let baked = dice(world, &job.bake, (&mut *report, diagnostics))?;
+                report.counts.surfels = report.counts.surfels.max(baked.cloud.len());
+                report.set("spacing", f64::from(baked.cloud.spacing));
+                timed(&mut report.seconds.write, || {
+                    let _phase = diagnostics.phase("write", "file", 0);
+                    let options = CloudOptions {
+                        provenance: provenance(&job.stage),
+                        ..CloudOptions::default()
+                    };
+                    cloud::write(&baked.cloud, &world.scene().stage, path, &options)
+                })?;
+                Ok(())
+            },
+        )?;
+    }
+    Ok(report)
+}

@@ -1,0 +1,160 @@
+//! `surflux render`: light seen by a camera. PBGI §6.
+
+use super::gather::{gather, record};
+use super::job::RenderJob;
+use super::report::{Report, timed};
+use super::view::{View, views};
+use super::world::{Needs, World, read_settings, with_world};
+use super::{Error, outputs};
+use crate::diagnostics::Diagnostics;
+use crate::receivers::camera;
+use crate::receivers::lens::Lens;
+use crate::results::{Aov, AovImage, resolve};
+use crate::stage;
+use crate::writers::image::{ExrInfo, ExrLayout, write_exr, write_png};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
+    let mut report = Report::new(&job.stage.command);
+    let times = job.stage.times();
+    if let Some(pattern) = &job.output.path {
+        let planned: Vec<_> = times
+            .iter()
+            .flat_map(|time| files(&outputs::frame_path(pattern, *time), job))
+            .collect();
+        outputs::check(&job.output, &planned)?;
+        if job.output.dry_run {
+            report.outputs = planned;
+            return Ok(report);
+        }
+    }
+    let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
+    // Without --aov the stage's render settings decide, and they are known only after reading.
+    let needs = if job.gather.aovs.is_empty() {
+        Needs::ALL
+    } else {
+        Needs::of(&job.gather.aovs)
+    };
+    for time in times {
+        let settings = read_settings(&job.stage, time, needs);
+        with_world(
+            source.as_mut(),
+            &settings,
+            &mut report,
+            diagnostics,
+            |world, report| {
+                for view in views(job, world.scene(), diagnostics)? {
+                    let written = files(&outputs::frame_path(&view.output, time), job);
+                    outputs::check(&job.output, &written)?;
+                    if !job.output.dry_run {
+                        render(world, &view, job, &written, (&mut *report, diagnostics))?;
+                    }
+                    report.outputs.extend(written);
+                }
+                Ok(())
+            },
+        )?;
+    }
+    Ok(report)
+}
+
+/// The EXR and, if asked, the PNG beside it.
+fn files(exr: &Path, job: &RenderJob) -> Vec<PathBuf> {
+    let mut files = vec![exr.to_path_buf()];
+    if job.preview {
+        files.push(exr.with_extension("png"));
+    }
+    files
+}
+
+fn render(
+    world: &World<'_>,
+    view: &View,
+    job: &RenderJob,
+    files: &[PathBuf],
+    (report, diagnostics): (&mut Report, &Diagnostics),
+) -> Result<(), Error> {
+    record(&job.gather, &view.aovs, report);
+    report.set(
+        "camera",
+        if view.camera.path.is_empty() {
+            "automatic"
+        } else {
+            view.camera.path.as_str()
+        },
+    );
+    report.set("image", vec![view.frame.width, view.frame.height]);
+    report.set("pixel_samples", job.pixel_samples);
+    let receivers = timed(&mut report.seconds.gather, || {
+        camera::place(
+            world.scene(),
+            &world.tracer,
+            &view.camera,
+            view.frame,
+            job.pixel_samples,
+        )
+    });
+    let results = gather(
+        world,
+        &receivers,
+        &view.aovs,
+        &job.gather,
+        (&mut *report, diagnostics),
+    )?;
+    timed(&mut report.seconds.write, || {
+        let _phase = diagnostics.phase("write", "file", 0);
+        let images = resolve(&results, &receivers.target);
+        write(&images, &info(world, view, job), job, files)
+    })
+}
+
+fn write(
+    images: &[AovImage],
+    info: &ExrInfo,
+    job: &RenderJob,
+    files: &[PathBuf],
+) -> Result<(), Error> {
+    let layout = if job.multipart {
+        ExrLayout::MultiPart
+    } else {
+        ExrLayout::SinglePart
+    };
+    write_exr(&files[0], images, info, layout)?;
+    if let Some(png) = files.get(1) {
+        let shown = images
+            .iter()
+            .find(|image| image.aov == Aov::Color)
+            .unwrap_or(&images[0]);
+        write_png(png, shown)?;
+    }
+    Ok(())
+}
+
+/// What the header says.
+fn info(world: &World<'_>, view: &View, job: &RenderJob) -> ExrInfo {
+    let stage = &world.scene().stage;
+    let lens = Lens::new(&view.camera, view.frame);
+    let mut texts = BTreeMap::from([
+        ("usd/stage".to_owned(), stage.path.display().to_string()),
+        ("usd/camera".to_owned(), view.camera.path.clone()),
+        ("surflux/command".to_owned(), job.stage.command.join(" ")),
+    ]);
+    if let Some(time) = stage.time {
+        texts.insert("usd/timeCode".to_owned(), time.to_string());
+    }
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "EXR keeps it in single precision"
+    )]
+    let pixel_aspect_ratio = lens.pixel_aspect_ratio() as f32;
+    ExrInfo {
+        pixel_aspect_ratio,
+        world_to_camera: Some(lens.world_to_camera()),
+        world_to_ndc: Some(lens.world_to_ndc()),
+        clipping_range: Some(view.camera.clipping_range),
+        frames_per_second: stage.time.map(|_| stage.time_codes_per_second),
+        texts,
+        ..ExrInfo::default()
+    }
+}

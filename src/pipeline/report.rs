@@ -1,0 +1,119 @@
+//! What a run did, as `--json` prints it (DESIGN: `surflux`, `command`, `usd`, `seconds`, `counts`, …).
+
+use crate::diagnostics::Warning;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Seconds a phase, summed over frames.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Seconds {
+    /// Stage to scene, acceleration structure and textures included.
+    pub read: f64,
+    /// Dicing and direct light of surfels.
+    pub points: f64,
+    /// Octree.
+    pub octree: f64,
+    /// Gathering, bounces included.
+    pub gather: f64,
+    /// Files.
+    pub write: f64,
+    /// Everything.
+    pub total: f64,
+}
+
+/// How much of everything; the largest over frames.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Counts {
+    /// Visible prims with a surface (instances counted each).
+    pub prims: usize,
+    /// Triangles (instances counted each).
+    pub triangles: usize,
+    /// Surfels.
+    pub surfels: usize,
+    /// Octree nodes.
+    pub nodes: usize,
+    /// Receivers.
+    pub receivers: usize,
+    /// Receivers that were gathered at (not interpolated).
+    pub gathered: usize,
+}
+
+/// How good the result is.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct ErrorReport {
+    /// What was asked for; none yet.
+    pub tolerance: Option<f64>,
+    /// Largest estimated relative RMSE over the AOVs.
+    pub estimate: Option<f64>,
+    /// How it was estimated.
+    pub method: String,
+    /// Estimate of each AOV.
+    pub aovs: std::collections::BTreeMap<String, f64>,
+}
+
+/// Statistics of one run.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// Version.
+    pub surflux: &'static str,
+    /// The command line.
+    pub command: Vec<String>,
+    /// `native` or `usd-core`.
+    pub usd: String,
+    /// Time.
+    pub seconds: Seconds,
+    /// Sizes.
+    pub counts: Counts,
+    /// Peak resident memory of this process and of the usd-core worker together, if the system tells.
+    pub peak_memory_bytes: Option<u64>,
+    /// Settings as resolved.
+    pub settings: serde_json::Map<String, serde_json::Value>,
+    /// Accuracy.
+    pub error: ErrorReport,
+    /// Files written (or to be written, for a dry run).
+    pub outputs: Vec<PathBuf>,
+    /// Everything that was not as it should be.
+    pub warnings: Vec<Warning>,
+}
+
+impl Report {
+    /// An empty report of `command`.
+    pub fn new(command: &[String]) -> Self {
+        Self {
+            surflux: env!("CARGO_PKG_VERSION"),
+            command: command.to_vec(),
+            usd: String::new(),
+            seconds: Seconds::default(),
+            counts: Counts::default(),
+            peak_memory_bytes: None,
+            settings: serde_json::Map::new(),
+            error: ErrorReport::default(),
+            outputs: Vec::new(),
+            warnings: Vec::new(),
+        }
+    }
+
+    /// Record one resolved setting.
+    pub fn set(&mut self, name: &str, value: impl Into<serde_json::Value>) {
+        self.settings.insert(name.to_owned(), value.into());
+    }
+}
+
+/// Runs `work` and adds its seconds to `total`.
+pub(super) fn timed<T>(total: &mut f64, work: impl FnOnce() -> T) -> T {
+    let start = Instant::now();
+    let value = work();
+    *total += start.elapsed().as_secs_f64();
+    value
+}
+
+/// Peak resident memory of this process and its worker children, bytes; `None` where `/proc` does not tell.
+pub(super) fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kibibytes * 1024)
+}

@@ -1,0 +1,101 @@
+//! A stage read at one time and made ready to be lit: scene, materials, rays, lights.
+
+use super::report::{Report, timed};
+use super::{Error, StageJob};
+use crate::diagnostics::Diagnostics;
+use crate::lighting::{LightSamples, Lighting};
+use crate::results::Aov;
+use crate::scene::Scene;
+use crate::shading::Shader;
+use crate::stage::{self, ReadSettings, Source};
+use crate::trace::Tracer;
+
+/// What a job has to read besides geometry.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Needs {
+    /// Materials, display colors, textures.
+    pub materials: bool,
+    /// Lights.
+    pub lights: bool,
+}
+
+impl Needs {
+    /// Materials and lights.
+    pub(super) const ALL: Self = Self {
+        materials: true,
+        lights: true,
+    };
+
+    /// What `aovs` need: occlusion reads neither materials nor lights.
+    pub(super) fn of(aovs: &[Aov]) -> Self {
+        let light = aovs
+            .iter()
+            .any(|aov| aov.needs_direct() || aov.needs_environment() || aov.needs_indirect());
+        Self {
+            materials: light || aovs.iter().any(|aov| aov.needs_material()),
+            lights: light,
+        }
+    }
+}
+
+/// The reader's settings for `job` at `time`.
+pub(super) fn read_settings(job: &StageJob, time: Option<f64>, needs: Needs) -> ReadSettings {
+    ReadSettings {
+        time,
+        purposes: job.purposes.clone(),
+        mask: job.mask.clone(),
+        materials: needs.materials,
+        lights: needs.lights,
+        ..ReadSettings::default()
+    }
+}
+
+/// A scene with everything that is made from it once.
+#[derive(Debug)]
+pub(super) struct World<'a> {
+    /// Materials of [`Self::scene`].
+    pub shader: &'a Shader<'a>,
+    /// Rays.
+    pub tracer: Tracer,
+    /// Lights; none when the job needs none.
+    pub lighting: Lighting,
+}
+
+impl<'a> World<'a> {
+    /// The scene.
+    pub(super) fn scene(&self) -> &'a Scene {
+        self.shader.scene()
+    }
+}
+
+/// Read `source` at `time`, prepare it, and hand it to `work`. Seconds count as `read`.
+pub(super) fn with_world<T>(
+    source: &mut dyn Source,
+    settings: &ReadSettings,
+    report: &mut Report,
+    diagnostics: &Diagnostics,
+    work: impl FnOnce(&World<'_>, &mut Report) -> Result<T, Error>,
+) -> Result<T, Error> {
+    let mut seconds = 0.0;
+    let scene = timed(&mut seconds, || {
+        let _phase = diagnostics.phase("read", "stage", 0);
+        stage::read(source, settings, diagnostics)
+    })?;
+    if scene.triangle_count() == 0 {
+        return Err(Error::NothingToLight {
+            path: scene.stage.path,
+        });
+    }
+    let shader = timed(&mut seconds, || Shader::new(&scene, diagnostics));
+    let world = timed(&mut seconds, || World {
+        tracer: Tracer::new(&scene),
+        lighting: Lighting::new(&shader, LightSamples::default(), diagnostics),
+        shader: &shader,
+    });
+    report.seconds.read += seconds;
+    report.usd.clone_from(&scene.stage.reader);
+    report.counts.prims = report.counts.prims.max(scene.prims.len());
+    report.counts.triangles = report.counts.triangles.max(scene.triangle_count());
+    diagnostics.check()?;
+    work(&world, report)
+}

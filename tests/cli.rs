@@ -1,0 +1,416 @@
+//! End to end: a stage in, files out; exit codes and messages of bad input.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+const ROOM: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/room.usda");
+
+fn surflux() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_surflux"));
+    command
+        .env_remove("SURFLUX_USD")
+        .env_remove("SURFLUX_THREADS");
+    command
+}
+
+fn run(args: &[&str]) -> Output {
+    surflux().args(args).output().expect("the program starts")
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn json(output: &Output) -> serde_json::Value {
+    assert!(output.status.success(), "{}", stderr(output));
+    serde_json::from_slice(&output.stdout).expect("stdout is JSON")
+}
+
+/// A stage file with `text` in a folder of its own.
+fn stage(text: &str) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("stage.usda");
+    fs::write(&path, text).expect("writable");
+    (folder, path)
+}
+
+fn files(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> = fs::read_dir(folder)
+        .expect("readable")
+        .map(|entry| {
+            entry
+                .expect("entry")
+                .file_name()
+                .to_string_lossy()
+                .into_owned()
+        })
+        .collect();
+    names.sort();
+    names
+}
+
+/// Runs a bake of `text` that must fail: exit code 1, every word in the message, nothing written.
+fn must_fail(text: &str, words: &[&str]) {
+    let (folder, path) = stage(text);
+    let output = folder.path().join("out.usdc");
+    let result = run(&[
+        "bake",
+        path.to_str().unwrap(),
+        "-o",
+        output.to_str().unwrap(),
+        "--usd",
+        "native",
+    ]);
+    assert_eq!(result.status.code(), Some(1), "{}", stderr(&result));
+    for word in words {
+        assert!(
+            stderr(&result).contains(word),
+            "no {word:?} in: {}",
+            stderr(&result)
+        );
+    }
+    assert_eq!(files(folder.path()), ["stage.usda"]);
+}
+
+const QUAD: &str = "int[] faceVertexCounts = [4]\nuniform token subdivisionScheme = \"none\"\n";
+
+#[test]
+fn a_render_of_the_example_writes_an_exr_a_preview_and_statistics() {
+    let folder = tempfile::tempdir().unwrap();
+    let exr = folder.path().join("room.exr");
+    let result = run(&[
+        "render",
+        ROOM,
+        "-o",
+        exr.to_str().unwrap(),
+        "--usd",
+        "native",
+        "--image-width",
+        "48",
+        "--rays",
+        "64",
+        "--surfels",
+        "5000",
+        "--aov",
+        "color,occlusion,irradiance_indirect,N,depth,primId",
+        "--preview",
+        "--json",
+    ]);
+    let report = json(&result);
+    for key in [
+        "surflux",
+        "command",
+        "usd",
+        "seconds",
+        "counts",
+        "peak_memory_bytes",
+        "settings",
+        "error",
+        "outputs",
+        "warnings",
+    ] {
+        assert!(report.get(key).is_some(), "no {key} in the statistics");
+    }
+    assert_eq!(report["usd"], "native");
+    assert_eq!(report["warnings"], serde_json::json!([]));
+    assert!(report["counts"]["receivers"].as_u64().unwrap() >= 48 * 48 / 2);
+    assert_eq!(files(folder.path()), ["room.exr", "room.png"]);
+}
+
+#[test]
+fn a_bake_writes_overs_and_a_stage_that_shows_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let layer = folder.path().join("room.usdc");
+    let result = run(&[
+        "bake",
+        ROOM,
+        "-o",
+        layer.to_str().unwrap(),
+        "--usd",
+        "native",
+        "--rays",
+        "64",
+        "--surfels",
+        "5000",
+        "--json",
+    ]);
+    assert_eq!(json(&result)["outputs"].as_array().unwrap().len(), 2);
+    assert_eq!(files(folder.path()), ["room.usdc", "room_baked.usda"]);
+}
+
+#[test]
+fn a_cloud_can_be_baked_and_gathered_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = folder.path().join("cloud.usdc");
+    let points = run(&[
+        "points",
+        ROOM,
+        "-o",
+        cloud.to_str().unwrap(),
+        "--usd",
+        "native",
+        "--surfels",
+        "5000",
+        "--json",
+    ]);
+    assert!(json(&points)["counts"]["surfels"].as_u64().unwrap() >= 4000);
+    let layer = folder.path().join("room.usdc");
+    let bake = run(&[
+        "bake",
+        ROOM,
+        "-o",
+        layer.to_str().unwrap(),
+        "--usd",
+        "native",
+        "--rays",
+        "64",
+        "--cloud",
+        cloud.to_str().unwrap(),
+        "--aov",
+        "irradiance_indirect",
+        "--json",
+    ]);
+    assert_eq!(
+        json(&bake)["counts"]["surfels"],
+        json(&points)["counts"]["surfels"]
+    );
+}
+
+#[test]
+fn the_same_bits_for_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut results = Vec::new();
+    for engine in ["rays", "paper"] {
+        for threads in ["1", "2", "8"] {
+            let exr = folder.path().join("room.exr");
+            let result = run(&[
+                "render",
+                ROOM,
+                "-o",
+                exr.to_str().unwrap(),
+                "--usd",
+                "native",
+                "--image-width",
+                "24",
+                "--rays",
+                "64",
+                "--surfels",
+                "3000",
+                "--bounces",
+                "2",
+                "--threads",
+                threads,
+                "--gather",
+                engine,
+                "--aov",
+                "color,occlusion,bent_normal",
+            ]);
+            assert!(result.status.success(), "{}", stderr(&result));
+            results.push(pixels(&exr));
+        }
+        assert!(
+            results.windows(2).all(|pair| pair[0] == pair[1]),
+            "{engine}: bits depend on the number of threads"
+        );
+        results.clear();
+    }
+}
+
+/// All samples of an EXR, as bits.
+fn pixels(path: &Path) -> Vec<u32> {
+    let image = exr::prelude::read_all_flat_layers_from_file(path).expect("a readable EXR");
+    let channels = image
+        .layer_data
+        .iter()
+        .flat_map(|layer| &layer.channel_data.list);
+    channels
+        .flat_map(|channel| {
+            channel
+                .sample_data
+                .values_as_f32()
+                .map(f32::to_bits)
+                .collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+#[test]
+fn info_tells_what_is_in_a_stage() {
+    let result = run(&["info", ROOM, "--usd", "native"]);
+    let text = String::from_utf8_lossy(&result.stdout).into_owned();
+    for word in [
+        "RectLight /Room/lamp",
+        "/Room/cam",
+        "point instances",
+        "catmullClark",
+    ] {
+        assert!(text.contains(word), "no {word:?} in: {text}");
+    }
+    let info = json(&run(&["info", ROOM, "--usd", "native", "--json"]));
+    assert_eq!(info["cameras"], serde_json::json!(["/Room/cam"]));
+}
+
+#[test]
+fn a_dry_run_lists_outputs_and_writes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let exr = folder.path().join("room.####.exr");
+    let result = run(&[
+        "render",
+        ROOM,
+        "-o",
+        exr.to_str().unwrap(),
+        "--frames",
+        "1:3",
+        "--dry-run",
+        "--json",
+    ]);
+    let outputs = json(&result)["outputs"].as_array().unwrap().len();
+    assert_eq!((outputs, files(folder.path()).len()), (3, 0));
+}
+
+#[test]
+fn no_clobber_keeps_an_existing_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = folder.path().join("cloud.usdc");
+    fs::write(&cloud, "precious").unwrap();
+    let result = run(&[
+        "points",
+        ROOM,
+        "-o",
+        cloud.to_str().unwrap(),
+        "--no-clobber",
+    ]);
+    assert_eq!(result.status.code(), Some(1));
+    assert_eq!(fs::read_to_string(&cloud).unwrap(), "precious");
+}
+
+#[test]
+fn usage_errors_exit_with_two() {
+    for args in [
+        &["bake", ROOM][..],
+        &["bake", ROOM, "-o", "x.usdc", "--aov", "oclusion"],
+        &["bake", ROOM, "-o", "x.png"],
+        &["render", ROOM, "-o", "x.exr", "--frames", "1:2"],
+        &["render", ROOM, "-o", "x.exr", "--frames", "abc"],
+        &["paint", ROOM],
+    ] {
+        let result = run(args);
+        assert_eq!(
+            result.status.code(),
+            Some(2),
+            "{args:?}: {}",
+            stderr(&result)
+        );
+    }
+}
+
+#[test]
+fn a_missing_file_is_named() {
+    for door in ["native", "auto"] {
+        let result = run(&["info", "no/such/stage.usda", "--usd", door]);
+        assert_eq!(result.status.code(), Some(1));
+        assert!(
+            stderr(&result).contains("no/such/stage.usda"),
+            "{}",
+            stderr(&result)
+        );
+    }
+}
+
+#[test]
+fn nan_points_are_refused_by_name() {
+    must_fail(
+        &format!(
+            "#usda 1.0\ndef Mesh \"m\" {{ point3f[] points = [(0,0,0),(1,0,0),(nan,1,0),(0,1,0)]\n{QUAD}int[] faceVertexIndices = [0,1,2,3] }}"
+        ),
+        &["/m", "2"],
+    );
+}
+
+#[test]
+fn indices_out_of_range_are_refused_with_the_range() {
+    must_fail(
+        &format!(
+            "#usda 1.0\ndef Mesh \"m\" {{ point3f[] points = [(0,0,0),(1,0,0),(1,1,0),(0,1,0)]\n{QUAD}int[] faceVertexIndices = [0,1,2,9] }}"
+        ),
+        &["/m", "9", "4"],
+    );
+}
+
+#[test]
+fn an_empty_stage_is_refused() {
+    must_fail("#usda 1.0\n", &["no visible surface"]);
+}
+
+#[test]
+fn a_layer_that_is_no_usd_is_refused() {
+    must_fail("PNG not usd", &["stage.usda"]);
+}
+
+#[test]
+fn an_output_folder_that_does_not_exist_is_named() {
+    let result = run(&[
+        "points",
+        ROOM,
+        "-o",
+        "no/such/folder/c.usdc",
+        "--surfels",
+        "1000",
+        "--usd",
+        "native",
+    ]);
+    assert_eq!(result.status.code(), Some(1));
+    assert!(
+        stderr(&result).contains("no/such/folder"),
+        "{}",
+        stderr(&result)
+    );
+}
+
+#[test]
+fn an_interrupt_ends_the_run_with_a_message_and_no_partial_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let layer = folder.path().join("room.usdc");
+    let mut child = surflux()
+        .args([
+            "bake",
+            ROOM,
+            "-o",
+            layer.to_str().unwrap(),
+            "--usd",
+            "native",
+            "--rays",
+            "1048576",
+        ])
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    std::thread::sleep(Duration::from_secs(3));
+    let killed = Command::new("kill")
+        .args(["-INT", &child.id().to_string()])
+        .status()
+        .expect("kill runs");
+    assert!(killed.success());
+    let mut ended = None;
+    for _ in 0..300 {
+        ended = child.try_wait().expect("waitable");
+        if ended.is_some() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    if ended.is_none() {
+        child.kill().expect("killable");
+    }
+    let output = child.wait_with_output().expect("ended");
+    assert_eq!(
+        ended.and_then(|status| status.code()),
+        Some(1),
+        "{}",
+        stderr(&output)
+    );
+    assert!(stderr(&output).contains("cancelled"), "{}", stderr(&output));
+    assert_eq!(files(folder.path()), Vec::<String>::new());
+}
