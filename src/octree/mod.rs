@@ -135,3 +135,259 @@ impl Octree {
             + self.surfels.len() * (4 * size_of::<Vec3>() + 2 * size_of::<f32>() + size_of::<u32>())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::Frame;
+    use proptest::prelude::*;
+    use std::ops::Range;
+
+    fn cloud(surfels: impl IntoIterator<Item = (Vec3, Vec3, f32, Vec3)>) -> SurfelCloud {
+        let mut cloud = SurfelCloud::default();
+        for (position, normal, area, light) in surfels {
+            cloud.position.push(position);
+            cloud.normal.push(normal.normalize());
+            cloud.area.push(area);
+            cloud.radius.push((0.6 * area.sqrt()).max(1e-3));
+            cloud.emission.push(light * 0.25);
+            cloud.radiosity.push(light);
+            cloud.albedo.push(Vec3::ZERO);
+            cloud.prim.push(0);
+        }
+        cloud
+    }
+
+    /// The surfels below a node.
+    fn surfels_of(tree: &Octree, node: &Node) -> Range<usize> {
+        match node.kind() {
+            NodeKind::Leaf(range) => range,
+            NodeKind::Inner(children) => {
+                let first = surfels_of(tree, &tree.nodes()[children.start]);
+                let last = surfels_of(tree, &tree.nodes()[children.end - 1]);
+                first.start..last.end
+            }
+        }
+    }
+
+    /// Panics where `tree` breaks a promise of its own docs.
+    fn check(tree: &Octree, cloud: &SurfelCloud) {
+        let mut ids = Vec::new();
+        let mut reached = 1;
+        for node in tree.nodes() {
+            match node.kind() {
+                NodeKind::Leaf(range) => {
+                    assert!(!range.is_empty() && range.len() <= LEAF_SURFEL_COUNT);
+                    ids.extend_from_slice(&tree.surfels().id[range]);
+                }
+                NodeKind::Inner(children) => {
+                    assert_eq!(children.start, reached, "children stand in order");
+                    assert!(children.len() >= 2 && children.len() <= 8);
+                    reached = children.end;
+                    check_sums(node, &tree.nodes()[children]);
+                }
+            }
+            check_bounds(tree, node);
+        }
+        assert_eq!(reached, tree.node_count().max(1));
+        ids.sort_unstable();
+        assert!(
+            ids.iter().map(|&id| id as usize).eq(0..cloud.len()),
+            "every surfel in one leaf"
+        );
+        for (i, &id) in tree.surfels().id.iter().enumerate() {
+            assert_eq!(tree.surfels().position[i], cloud.position[id as usize]);
+        }
+    }
+
+    fn check_sums(node: &Node, children: &[Node]) {
+        let area: f32 = children.iter().map(|child| child.area).sum();
+        assert!(
+            (area - node.area).abs() <= 1e-5 * node.area,
+            "{area} {}",
+            node.area
+        );
+        let reflected: Vec3 = children.iter().map(|child| child.reflected_power).sum();
+        assert!(reflected.abs_diff_eq(node.reflected_power, 1e-5 * reflected.length()));
+        let emitted: Vec3 = children.iter().map(|child| child.emitted_power).sum();
+        assert!(emitted.abs_diff_eq(node.emitted_power, 1e-5 * emitted.length()));
+    }
+
+    fn check_bounds(tree: &Octree, node: &Node) {
+        // Rounding of sizes, and of coordinates far from zero.
+        let magnitude = tree
+            .bounds()
+            .max
+            .abs()
+            .max(tree.bounds().min.abs())
+            .max_element();
+        let slack =
+            1e-5 * (tree.bounds().diagonal() + node.radius) + 4.0 * f32::EPSILON * magnitude;
+        for i in surfels_of(tree, node) {
+            let (position, normal) = (tree.surfels().position[i], tree.surfels().normal[i]);
+            let frame = Frame::about(normal);
+            for rim in [
+                frame.tangent,
+                -frame.tangent,
+                frame.bitangent,
+                -frame.bitangent,
+            ] {
+                let point = position + rim * tree.surfels().radius[i];
+                assert!(node.center.distance(point) <= node.radius + slack);
+            }
+            assert!(node.bounds.contains(position));
+            assert!(node.normal.dot(normal).clamp(-1.0, 1.0).acos() <= node.spread + 2e-3);
+        }
+        assert!(node.center.is_finite() && node.covariance.iter().all(|c| c.is_finite()));
+        assert!(node.extent_area() >= 0.0);
+    }
+
+    fn vector(size: f32) -> impl Strategy<Value = Vec3> {
+        let range = || -size..size;
+        (range(), range(), range()).prop_map(|(x, y, z)| Vec3::new(x, y, z))
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+
+        #[test]
+        fn every_surfel_is_in_one_leaf_and_sums_are_those_of_the_children(
+            surfels in prop::collection::vec(
+                (vector(3.0), vector(1.0).prop_filter("a normal", |n| n.length() > 0.1), 0.0_f32..0.1, vector(1.0).prop_map(Vec3::abs)),
+                0..600,
+            ),
+            flatten in prop::bool::ANY,
+            offset in prop_oneof![Just(0.0_f32), Just(1e4)],
+        ) {
+            let squash = if flatten { Vec3::new(1.0, 1.0, 0.0) } else { Vec3::ONE };
+            let cloud = cloud(surfels.into_iter().map(|(p, n, a, l)| (p * squash + Vec3::splat(offset), n, a, l)));
+            check(&Octree::new(&cloud), &cloud);
+        }
+    }
+
+    #[test]
+    fn no_surfel_one_surfel_a_line_and_coincident_ones_keep_the_promises() {
+        let one = (Vec3::ONE, Vec3::Z, 0.25, Vec3::ONE);
+        for count in [0_usize, 1, 16, 17, 5_000] {
+            let coincident = cloud(std::iter::repeat_n(one, count));
+            let tree = Octree::new(&coincident);
+            check(&tree, &coincident);
+            assert_eq!(tree.node_count() == 0, count == 0);
+            let line = cloud((0..count).map(|i| (Vec3::X * i as f32, Vec3::Z, 0.5, Vec3::ONE)));
+            check(&Octree::new(&line), &line);
+        }
+        assert!(Octree::new(&SurfelCloud::default()).bounds().is_empty());
+    }
+
+    #[test]
+    fn areas_of_zero_give_finite_nodes() {
+        let dust = cloud((0..100).map(|i| (Vec3::splat(i as f32), -Vec3::Y, 0.0, Vec3::ZERO)));
+        let tree = Octree::new(&dust);
+        check(&tree, &dust);
+        for node in tree.nodes() {
+            assert!(tree.appearance(node, -Vec3::Y).is_none());
+        }
+    }
+
+    #[test]
+    fn two_sides_of_a_sheet_share_no_node_below_the_root() {
+        let sheet = cloud((0..4_000).map(|i| {
+            let side = if i % 2 == 0 { 1.0 } else { -1.0 };
+            let (x, y) = ((i / 2 % 50) as f32, (i / 100) as f32);
+            (Vec3::new(x, y, 0.0), Vec3::Z * side, 1.0, Vec3::ONE)
+        }));
+        let tree = Octree::new(&sheet);
+        check(&tree, &sheet);
+        for node in &tree.nodes()[1..] {
+            assert!(node.is_flat() && node.spread < 1e-3);
+            assert!(node.is_averted_from(node.center - node.normal * (1.01 * node.radius)));
+        }
+    }
+
+    #[test]
+    fn a_ball_of_leaves_is_scattered_and_a_sphere_is_not() {
+        let hash = |i: usize| {
+            let x = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            let x = (x ^ (x >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            (x >> 40) as f32 / (1 << 24) as f32 - 0.5
+        };
+        let vector = |i: usize| Vec3::new(hash(3 * i), hash(3 * i + 1), hash(3 * i + 2));
+        let sphere = cloud((0..2_000).map(|i| (vector(i).normalize(), vector(i), 0.01, Vec3::ONE)));
+        let leaves = cloud((0..2_000).map(|i| (vector(i), vector(i + 5_000), 0.01, Vec3::ONE)));
+        let (sphere, leaves) = (Octree::new(&sphere), Octree::new(&leaves));
+        assert!((sphere.nodes()[0].convexity - 1.0).abs() < 0.01);
+        assert!(leaves.nodes()[0].convexity.abs() < 0.05);
+        let scattered = |tree: &Octree| {
+            tree.nodes()
+                .iter()
+                .filter(|node| node.is_scattered())
+                .count()
+        };
+        assert_eq!(scattered(&sphere), 0);
+        assert!(
+            scattered(&leaves) > leaves.node_count() / 2,
+            "{}",
+            scattered(&leaves)
+        );
+    }
+
+    #[test]
+    fn a_square_patch_has_its_own_area_as_extent() {
+        let patch = cloud((0..400).map(|i| {
+            (
+                Vec3::new((i % 20) as f32, (i / 20) as f32, 0.0),
+                Vec3::Z,
+                1.0,
+                Vec3::ONE,
+            )
+        }));
+        let root = Octree::new(&patch).nodes()[0];
+        assert!((root.extent_area() / 400.0 - 1.0).abs() < 1e-5);
+        assert!((root.area - 400.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_node_all_of_whose_surfels_face_the_viewer_shows_their_exact_sum() {
+        // A shallow and a steep roof, lit differently: spread, but both sides face up.
+        let roof = cloud((0..40).map(|i| {
+            let (normal, light) = if i % 2 == 0 {
+                (Vec3::new(0.8, 0.0, 0.6), Vec3::X)
+            } else {
+                (Vec3::new(-0.6, 0.0, 0.8), Vec3::Y)
+            };
+            (Vec3::new(0.0, i as f32, 0.0), normal, 0.5, light)
+        }));
+        let tree = Octree::new(&roof);
+        let root = &tree.nodes()[0];
+        assert!(!root.is_flat());
+        let seen = tree.appearance(root, Vec3::Z).unwrap();
+        // 20 · 0.5 · (0.6 + 0.8); radiance = Σ area · cos · radiosity / π, by the projected area.
+        assert!((seen.projected_area - 14.0).abs() < 1e-3);
+        let reflected = Vec3::new(0.75 * 6.0, 0.75 * 8.0, 0.0) / (14.0 * std::f32::consts::PI);
+        assert!(
+            seen.reflected.abs_diff_eq(reflected, 1e-4),
+            "{}",
+            seen.reflected
+        );
+    }
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_bits() {
+        let hash = |i: u64| (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f32 / (1 << 24) as f32;
+        let cloud = cloud((0..30_000).map(|i| {
+            let v = |k: u64| Vec3::new(hash(9 * i + k), hash(9 * i + k + 1), hash(9 * i + k + 2));
+            (v(0), v(3) - 0.5, 1e-4 * hash(i), v(6))
+        }));
+        let with_threads = |count| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(count)
+                .build()
+                .unwrap();
+            pool.install(|| Octree::new(&cloud))
+        };
+        let (one, four) = (with_threads(1), with_threads(4));
+        assert_eq!(one.nodes, four.nodes);
+        assert_eq!(one.lobes, four.lobes);
+        assert_eq!(one.surfels, four.surfels);
+    }
+}

@@ -11,6 +11,13 @@ use std::ops::Range;
 /// nine harmonics (up to 6 %) outweighs the area itself, and radiance, a quotient of two such series, means nothing.
 const LEAST_SEEN_SHARE: f32 = 0.01;
 
+/// Least thickness of a scattered cluster: its variance along the mean normal by that across it. A ball of leaves has 1,
+/// the part of a sphere that falls into one class of normals at most 0.1.
+const SCATTERED_THICKNESS: f32 = 0.3;
+
+/// Least absolute [`Node::convexity`] of a surface. Sixteen leaves have 0 ± 0.15.
+const SCATTERED_CONVEXITY: f32 = 0.3;
+
 /// What a node's range refers to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum NodeKind {
@@ -37,6 +44,9 @@ pub struct Node {
     pub area: f32,
     /// Length of Σ area·normal: the area projected along `normal` when all surfels face one way.
     pub facing_area: f32,
+    /// How much the normals point away from `center`: mean of normal · (position − center) by the surfels' rms distance
+    /// from it. 1 for a sphere, 0 for leaves, −1 for a hollow seen from inside.
+    pub convexity: f32,
     /// Covariance of the covered surface about `center`: xx, yy, zz, xy, xz, yz. A square of side `s` has `s²/12`
     /// along each of its edges.
     pub covariance: [f32; 6],
@@ -101,6 +111,22 @@ impl Node {
     pub fn extent_area(&self) -> f32 {
         let [xx, yy, zz, ..] = self.covariance;
         6.0 * (xx + yy + zz)
+    }
+
+    /// True if the surfels are scattered through a volume, like leaves, rather than parts of one surface: their normals
+    /// differ but do not follow from their places, and the cluster is thick along the mean normal. They overlap at
+    /// random, and cover less than the sum of their areas.
+    pub fn is_scattered(&self) -> bool {
+        let [xx, yy, zz, xy, xz, yz] = self.covariance;
+        let n = self.normal;
+        let thickness = xx * n.x * n.x
+            + yy * n.y * n.y
+            + zz * n.z * n.z
+            + 2.0 * (xy * n.x * n.y + xz * n.x * n.z + yz * n.y * n.z);
+        let width = 0.5 * (xx + yy + zz - thickness);
+        !self.is_flat()
+            && thickness > SCATTERED_THICKNESS * width
+            && self.convexity.abs() < SCATTERED_CONVEXITY
     }
 
     /// True if no point of no surfel can face `position`.

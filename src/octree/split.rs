@@ -16,7 +16,8 @@ pub(super) struct Cell {
 /// No level for no key.
 pub(super) fn levels(keys: &[u64]) -> Vec<Vec<Cell>> {
     let mut levels = Vec::new();
-    let mut ranges = vec![0..keys.len()];
+    let whole = 0..keys.len();
+    let mut ranges = vec![whole];
     if keys.is_empty() {
         return levels;
     }
