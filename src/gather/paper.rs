@@ -3,9 +3,13 @@
 //!
 //! For each receiver: cut the octree by solid angle into clusters and surfels, sort them by distance, and draw them
 //! into six axis-aligned rasters from near to far, each element into what earlier ones left of the pixels. Clusters
-//! and surfels are rectangles along the pixel grid with the element's own second moments (the technical memo has
-//! squares of equal area, which leave gaps between them: 1.5 to 3 times the error); surfels larger than a few pixels
-//! are disks, ray cast through the middle of each pixel.
+//! and small surfels are rectangles along the pixel grid, surfels larger than a few pixels are disks, ray cast through
+//! the middle of each pixel.
+//!
+//! The technical memo draws squares of equal area instead of the rectangles here, which have the element's own second
+//! moments: in the Cornell box of tests/octree.rs at the default knobs the error of visibility is then 5.2 % instead of
+//! 2.4 %, and 20 % instead of 7 % at 32² pixels, because such squares leave gaps. Leaves and other scattered surfels
+//! overlap at random ("over") instead of adding up; that would cover 25 to 45 % too much.
 
 mod pixels;
 mod raster;
@@ -111,7 +115,13 @@ impl<'a> PaperEngine<'a> {
         let counts = traverse(self.octree, (position, normal), &self.cut, |element| {
             splats.extend(match element {
                 Element::Cluster(node) => self.cluster_splat(node, position),
-                Element::Surfel(surfel) => self.surfel_splat(surfel, (position, normal)),
+                Element::Surfel(surfel, leaf) => {
+                    self.surfel_splat(surfel, (position, normal))
+                        .map(|splat| Splat {
+                            is_scattered: leaf.is_scattered(),
+                            ..splat
+                        })
+                }
             });
         });
         splats.sort_by(|a, b| a.distance.total_cmp(&b.distance));
@@ -135,6 +145,7 @@ impl<'a> PaperEngine<'a> {
             distance,
             reflected: seen.reflected,
             emitted: seen.emitted,
+            is_scattered: node.is_scattered(),
             shape: Shape::Rectangle {
                 projected_area: seen.projected_area,
                 covariance: node.covariance,
@@ -168,6 +179,7 @@ impl<'a> PaperEngine<'a> {
             distance,
             reflected: surfels.reflected[surfel],
             emitted: surfels.emitted[surfel],
+            is_scattered: false,
             shape,
         })
     }
@@ -177,14 +189,28 @@ impl<'a> PaperEngine<'a> {
 /// receiver's own surface: this much a curved surface bends away from a disk of 1/10 of its radius of curvature.
 const OWN_SURFACE_RADII: f32 = 0.05;
 
-/// Least cosine between the normals of the receiver and of its own surface.
+/// A disk of the other side of the receiver's own surface does not rise above the receiver by more than this many of
+/// its radii: rounding. A sheet in contact does.
+const OTHER_SIDE_RADII: f32 = 1e-3;
+
+/// Least cosine, up to its sign, between the normals of the receiver and of its own surface.
 const OWN_SURFACE_COSINE: f32 = 0.5;
 
+/// True for disks that are the receiver's own surface, or the other side of it where that is seen from both: they
+/// stick out over edges and curvature and would cover what the surface itself does not.
 fn is_own_surface(offset: Vec3, receiver_normal: Vec3, normal: Vec3, radius: f32) -> bool {
+    let facing = normal.dot(receiver_normal);
     let height = -normal.dot(offset);
-    normal.dot(receiver_normal) >= OWN_SURFACE_COSINE
-        && height <= OWN_SURFACE_RADII * radius
-        && (offset + normal * height).length_squared() <= radius * radius
+    let beside = (offset + normal * height).length();
+    if facing >= OWN_SURFACE_COSINE {
+        height <= OWN_SURFACE_RADII * radius && beside <= radius
+    } else {
+        // Neighbours reach over the receiver too: their planes cross its own halfway to their centers.
+        facing <= -OWN_SURFACE_COSINE
+            && offset.dot(receiver_normal) <= OTHER_SIDE_RADII * radius
+            && height <= radius
+            && beside <= 2.0 * radius
+    }
 }
 
 /// Covariance of a square of `area` across `normal`.

@@ -19,8 +19,8 @@ pub struct CutSettings {
 pub enum Element<'a> {
     /// A cluster, small and outside its own ball.
     Cluster(&'a Node),
-    /// A surfel, by its index in leaf order.
-    Surfel(usize),
+    /// A surfel of a leaf, by its index in leaf order.
+    Surfel(usize, &'a Node),
 }
 
 /// Work done for a receiver, or for many.
@@ -60,7 +60,7 @@ pub fn traverse<'a>(
                 for surfel in surfels {
                     if is_surfel_seen(octree, surfel, (position, normal), settings.max_distance) {
                         counts.surfels += 1;
-                        visit(Element::Surfel(surfel));
+                        visit(Element::Surfel(surfel, node));
                     }
                 }
             }
@@ -96,4 +96,97 @@ fn is_surfel_seen(
     surfels.normal[surfel].dot(offset) < 0.0
         && offset.dot(normal) + surfels.radius[surfel] > 0.0
         && offset.length_squared() <= max_distance * max_distance
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surfels::SurfelCloud;
+
+    /// A grid of `side`² unit squares at `height`, facing down.
+    fn ceiling(side: usize, height: f32) -> Octree {
+        let count = side * side;
+        let place = |i: usize| Vec3::new((i % side) as f32, (i / side) as f32, height);
+        Octree::new(&SurfelCloud {
+            position: (0..count).map(place).collect(),
+            normal: vec![Vec3::NEG_Z; count],
+            radius: vec![0.75; count],
+            area: vec![1.0; count],
+            radiosity: vec![Vec3::ONE; count],
+            albedo: vec![Vec3::ONE; count],
+            emission: vec![Vec3::ZERO; count],
+            prim: vec![0; count],
+            ..SurfelCloud::default()
+        })
+    }
+
+    fn cut(octree: &Octree, place: (Vec3, Vec3), settings: CutSettings) -> (f32, CutCounts) {
+        let mut area = 0.0;
+        let counts = traverse(octree, place, &settings, |element| {
+            area += match element {
+                Element::Cluster(node) => node.area,
+                Element::Surfel(surfel, _) => octree.surfels().area[surfel],
+            };
+        });
+        (area, counts)
+    }
+
+    const FINE: CutSettings = CutSettings {
+        max_solid_angle: 0.03,
+        max_distance: f32::INFINITY,
+    };
+
+    #[test]
+    fn every_cut_through_what_is_visible_holds_all_of_its_area() {
+        let octree = ceiling(64, 50.0);
+        let below = (Vec3::new(30.0, 30.0, 0.0), Vec3::Z);
+        for max_solid_angle in [0.0, 0.01, 0.03, 0.3] {
+            let (area, counts) = cut(
+                &octree,
+                below,
+                CutSettings {
+                    max_solid_angle,
+                    ..FINE
+                },
+            );
+            assert!((area - 4096.0).abs() < 0.1, "{area}");
+            assert_eq!(counts.surfels == 4096, max_solid_angle == 0.0);
+        }
+    }
+
+    #[test]
+    fn coarser_cuts_visit_fewer_nodes() {
+        let octree = ceiling(64, 50.0);
+        let below = (Vec3::new(30.0, 30.0, 0.0), Vec3::Z);
+        let visited = |max_solid_angle| {
+            cut(
+                &octree,
+                below,
+                CutSettings {
+                    max_solid_angle,
+                    ..FINE
+                },
+            )
+            .1
+        };
+        assert!(visited(0.3).nodes < visited(0.03).nodes);
+        assert!(visited(0.03).nodes < visited(0.01).nodes);
+    }
+
+    #[test]
+    fn what_is_behind_averted_or_too_far_is_left_out() {
+        let octree = ceiling(16, 5.0);
+        let looking_down = (Vec3::new(8.0, 8.0, 0.0), Vec3::NEG_Z);
+        let above = (Vec3::new(8.0, 8.0, 30.0), Vec3::NEG_Z);
+        let far = (Vec3::new(8.0, 8.0, 0.0), Vec3::Z);
+        assert_eq!(cut(&octree, looking_down, FINE).0, 0.0);
+        assert_eq!(cut(&octree, above, FINE).0, 0.0);
+        let near_only = CutSettings {
+            max_distance: 5.2,
+            ..FINE
+        };
+        let (area, _) = cut(&octree, far, near_only);
+        // The disk of radius √(5.2² − 5²) on the ceiling has the area 6.4.
+        assert!((4.0..=9.0).contains(&area), "{area}");
+    }
 }
