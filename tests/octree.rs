@@ -648,6 +648,33 @@ fn a_sheet_in_contact_with_the_ground_covers_it() {
 }
 
 #[test]
+fn the_other_side_of_a_surface_does_not_cover_it() {
+    let [u, v] = [Vec3::X, Vec3::Y].map(|axis| TURN * axis);
+    let sphere = Shape::Sphere(Vec3::splat(5.0), 1.0);
+    for shape in [Shape::Rectangle(Vec3::splat(3.0), u, v), sphere] {
+        let surface = Surface {
+            shape,
+            radiosity: lit,
+        };
+        let mut cloud = cloud(&[surface], 3_000);
+        for i in 0..cloud.len() {
+            let (position, normal) = (cloud.position[i], -cloud.normal[i]);
+            let side = Place { position, normal };
+            let size = (cloud.area[i], cloud.radius[i]);
+            push(&mut cloud, side, size, 1.0);
+        }
+        see(
+            &Octree::new(&cloud),
+            &places_on(&[surface], 100),
+            |i, hemisphere| {
+                let covered = sum(hemisphere, |i| hemisphere.coverage[i]) / std::f64::consts::PI;
+                assert!(covered < 0.02, "{i}: {covered}");
+            },
+        );
+    }
+}
+
+#[test]
 fn nothing_is_seen_beyond_the_greatest_distance() {
     let surfaces = box_inside(Vec3::ZERO, Vec3::ONE, |_| 1.0);
     let octree = Octree::new(&cloud(&surfaces, 5_000));
@@ -868,24 +895,6 @@ fn knob_table() {
                     "  {max_solid_angle:5} sr, {raster_resolution:2}² pixels: visibility {visibility}, irradiance {irradiance}, {micros} µs"
                 );
             }
-        }
-    }
-}
-
-#[test]
-#[ignore]
-fn tmp_build_time() {
-    for surfaces in [cornell(), turned_cornell()] {
-        let cloud = cloud(&surfaces, 1_000_000);
-        for _ in 0..3 {
-            let start = std::time::Instant::now();
-            let octree = Octree::new(&cloud);
-            println!(
-                "{} surfels {} nodes {:?}",
-                cloud.len(),
-                octree.node_count(),
-                start.elapsed()
-            );
         }
     }
 }

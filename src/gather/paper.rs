@@ -189,14 +189,28 @@ impl<'a> PaperEngine<'a> {
 /// receiver's own surface: this much a curved surface bends away from a disk of 1/10 of its radius of curvature.
 const OWN_SURFACE_RADII: f32 = 0.05;
 
-/// Least cosine between the normals of the receiver and of its own surface.
+/// A disk of the other side of the receiver's own surface does not rise above the receiver by more than this many of
+/// its radii: rounding. A sheet in contact does.
+const OTHER_SIDE_RADII: f32 = 1e-3;
+
+/// Least cosine, up to its sign, between the normals of the receiver and of its own surface.
 const OWN_SURFACE_COSINE: f32 = 0.5;
 
+/// True for disks that are the receiver's own surface, or the other side of it where that is seen from both: they
+/// stick out over edges and curvature and would cover what the surface itself does not.
 fn is_own_surface(offset: Vec3, receiver_normal: Vec3, normal: Vec3, radius: f32) -> bool {
+    let facing = normal.dot(receiver_normal);
     let height = -normal.dot(offset);
-    normal.dot(receiver_normal) >= OWN_SURFACE_COSINE
-        && height <= OWN_SURFACE_RADII * radius
-        && (offset + normal * height).length_squared() <= radius * radius
+    let beside = (offset + normal * height).length();
+    if facing >= OWN_SURFACE_COSINE {
+        height <= OWN_SURFACE_RADII * radius && beside <= radius
+    } else {
+        // Neighbours reach over the receiver too: their planes cross its own halfway to their centers.
+        facing <= -OWN_SURFACE_COSINE
+            && offset.dot(receiver_normal) <= OTHER_SIDE_RADII * radius
+            && height <= radius
+            && beside <= 2.0 * radius
+    }
 }
 
 /// Covariance of a square of `area` across `normal`.

@@ -307,7 +307,9 @@ mod tests {
     #[test]
     fn a_ball_of_leaves_is_scattered_and_a_sphere_is_not() {
         let hash = |i: usize| {
-            (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f32 / (1 << 24) as f32 - 0.5
+            let x = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            let x = (x ^ (x >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            (x >> 40) as f32 / (1 << 24) as f32 - 0.5
         };
         let vector = |i: usize| Vec3::new(hash(3 * i), hash(3 * i + 1), hash(3 * i + 2));
         let sphere = cloud((0..2_000).map(|i| (vector(i).normalize(), vector(i), 0.01, Vec3::ONE)));
