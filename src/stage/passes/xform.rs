@@ -71,14 +71,18 @@ pub fn local(prim: &RawPrim) -> LocalTransform {
     result
 }
 
-/// The matrix of one entry of the order; `None` if the op's attribute is missing, has no value or the wrong type.
+/// The matrix of one entry of the order; `None` if the op's attribute is missing, has the wrong type or no inverse.
 fn op_matrix(prim: &RawPrim, entry: &str) -> Option<DMat4> {
     let (name, inverted) = match entry.strip_prefix(INVERT) {
         Some(name) => (name, true),
         None => (entry, false),
     };
     let kind = name.strip_prefix("xformOp:")?.split(':').next()?;
-    let matrix = kind_matrix(kind, prim.attributes.get(name)?.value.as_ref()?)?;
+    // Only time samples, and none wanted: the identity, as in usd-core.
+    let Some(value) = &prim.attributes.get(name)?.value else {
+        return Some(DMat4::IDENTITY);
+    };
+    let matrix = kind_matrix(kind, value)?;
     if !inverted {
         return Some(matrix);
     }
@@ -414,6 +418,14 @@ mod tests {
             result.parent_from_local,
             DMat4::from_translation(DVec3::new(1.0, 2.0, 3.0))
         );
+    }
+
+    #[test]
+    fn ops_without_a_value_at_this_time_are_the_identity_and_no_flaw() {
+        let mut prim = xform(&[("rotateX", Value::Float(9.0))], &["xformOp:rotateX"]);
+        let attribute = prim.attributes.get_mut("xformOp:rotateX").unwrap();
+        attribute.value = None;
+        assert_eq!(local(&prim), LocalTransform::IDENTITY);
     }
 
     #[test]

@@ -45,6 +45,8 @@ pub struct Layout<'a> {
     occurrences: &'a [Occurrence],
     settings: &'a ReadSettings,
     placements: Vec<Placement>,
+    /// Absolute; `min > max` when nothing is drawn.
+    bounds: (DVec3, DVec3),
     origin: DVec3,
 }
 
@@ -60,13 +62,14 @@ pub fn lay_out<'a>(
 ) -> Result<Layout<'a>, Error> {
     diagnostics.check()?;
     let placements = placement::placements(raw, occurrences, settings, diagnostics);
-    let (min, max) = world::bounds(raw, occurrences, &placements);
+    let bounds = world::bounds(raw, occurrences, &placements);
     Ok(Layout {
         raw,
         occurrences,
         settings,
         placements,
-        origin: local_origin(min, max),
+        bounds,
+        origin: local_origin(bounds.0, bounds.1),
     })
 }
 
@@ -138,16 +141,8 @@ impl Layout<'_> {
         geometries: &'b [Geometry<'b>],
         sources: &'b [Source<'b>],
     ) -> Vec<refinement::Demand<'b>> {
-        let target = self.settings.refine_edge.map_or_else(
-            || {
-                refinement::default_edge(world::bounds(
-                    self.raw,
-                    self.occurrences,
-                    &self.placements,
-                ))
-            },
-            f64::from,
-        );
+        let asked = self.settings.refine_edge.map(f64::from);
+        let target = asked.unwrap_or_else(|| refinement::default_edge(self.bounds));
         let scale = |geometry: &Geometry| {
             let uses = geometry.uses.iter();
             uses.map(|&i| world::greatest_scale(self.placements[i].world_from_object))

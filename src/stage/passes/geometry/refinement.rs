@@ -93,10 +93,12 @@ impl Plan {
     }
 }
 
-/// Halvings until `ratio` is at most 1.
+/// Halvings until `ratio` is at most 1; at least one, also for a mesh without size.
 fn levels_for(ratio: f64) -> usize {
-    let halved = |level: &usize| ratio / f64::from(1_u32 << level) <= 1.0;
-    (1..MAX_LEVEL).find(halved).unwrap_or(MAX_LEVEL)
+    let is_long = |level: usize| ratio / f64::from(1_u32 << level) > 1.0;
+    (1..MAX_LEVEL)
+        .find(|&level| !is_long(level))
+        .unwrap_or(MAX_LEVEL)
 }
 
 fn longest_edge(mesh: &AuthoredMesh) -> f64 {
