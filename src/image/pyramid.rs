@@ -47,7 +47,8 @@ impl Level {
     pub(super) fn sample(&self, index: usize) -> f32 {
         match &self.texels {
             Texels::Bytes { codes, srgb } => {
-                let is_alpha = self.channels % 2 == 0 && index % self.channels == self.channels - 1;
+                let is_alpha =
+                    self.channels.is_multiple_of(2) && index % self.channels == self.channels - 1;
                 let table = if *srgb && !is_alpha {
                     &FROM_SRGB
                 } else {
@@ -114,6 +115,8 @@ struct Cover {
 impl Cover {
     /// Covers of `to` texels that share `from` texels evenly (`from / to` is 1 to 3).
     fn all(from: usize, to: usize) -> Vec<Self> {
+        #[expect(clippy::cast_possible_truncation, reason = "0 to 1")]
+        let weight = |x: f64| x as f32;
         let size = from as f64 / to as f64;
         let cover = |index: usize| {
             // Integer division: where texel `index` begins, without rounding.
@@ -121,7 +124,7 @@ impl Cover {
             let (start, end) = (index as f64 * size, (index + 1) as f64 * size);
             let overlap = |k: usize| {
                 let texel = (first + k) as f64;
-                ((end.min(texel + 1.0) - start.max(texel)).max(0.0) / size) as f32
+                weight((end.min(texel + 1.0) - start.max(texel)).max(0.0) / size)
             };
             Self {
                 first,
@@ -195,7 +198,7 @@ mod tests {
 
     fn ramp(width: usize, height: usize, channels: usize) -> Decoded {
         let codes = (0..width * height * channels)
-            .map(|i| (i * i * 37 % 251) as u8)
+            .map(|i| u8::try_from(i * i * 37 % 251).unwrap())
             .collect();
         Decoded {
             width,
