@@ -22,7 +22,7 @@ const MAX_ASPECT: f32 = 4.0;
 /// Half the binary logarithm of 3: how many levels the matching level lies below the footprint's size.
 const LEVEL_BELOW_FOOTPRINT: f32 = 0.792_481_25;
 
-/// A texture with its mip levels, linear. 8-bit files stay 8-bit in memory, their smaller levels are half precision.
+/// A texture with its mip levels, linear. 8-bit files stay 8-bit in memory, their smaller levels are 16-bit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Image {
     levels: Vec<Level>,
@@ -182,13 +182,12 @@ impl Spread {
 impl Level {
     /// RGBA of a texel: gray is spread to RGB, missing alpha is 1.
     fn texel(&self, x: usize, y: usize) -> Vec4 {
-        let start = (y * self.width + x) * self.channels;
-        let at = |channel: usize| self.sample(start + channel);
+        let [r, g, b, a] = self.linear(y * self.width + x);
         match self.channels {
-            1 => Vec4::new(at(0), at(0), at(0), 1.0),
-            2 => Vec4::new(at(0), at(0), at(0), at(1)),
-            3 => Vec4::new(at(0), at(1), at(2), 1.0),
-            _ => Vec4::new(at(0), at(1), at(2), at(3)),
+            1 => Vec4::new(r, r, r, 1.0),
+            2 => Vec4::new(r, r, r, g),
+            3 => Vec4::new(r, g, b, 1.0),
+            _ => Vec4::new(r, g, b, a),
         }
     }
 
