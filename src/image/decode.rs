@@ -137,3 +137,68 @@ fn from_image(image: DynamicImage) -> Decoded {
         samples,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::pyramid;
+
+    /// A small file of every format.
+    fn files() -> Vec<(&'static str, Vec<u8>)> {
+        let folder = tempfile::tempdir().unwrap();
+        let code = |x: u32| u8::try_from(x).unwrap();
+        let pixels = image::RgbImage::from_fn(9, 7, |x, y| image::Rgb([code(x * y), code(x), 7]));
+        let floats = DynamicImage::ImageRgb8(pixels.clone()).into_rgb32f();
+        let names = [
+            "a.png", "a.jpg", "a.bmp", "a.tga", "a.tiff", "a.hdr", "a.exr",
+        ];
+        let write = |name: &'static str| {
+            let path = folder.path().join(name);
+            match name {
+                "a.exr" => {
+                    exr::prelude::write_rgb_file(&path, 9, 7, |x, y| (x as f32, y as f32, 0.5))
+                        .unwrap();
+                }
+                "a.hdr" => floats.save(&path).unwrap(),
+                _ => pixels.save(&path).unwrap(),
+            }
+            (name, std::fs::read(&path).unwrap())
+        };
+        names.into_iter().map(write).collect()
+    }
+
+    #[test]
+    fn truncated_and_flipped_files_do_not_panic() {
+        for (name, good) in files() {
+            assert!(decode(&good, Path::new(name)).is_ok(), "{name}");
+            let try_bytes = |bytes: &[u8]| {
+                if let Ok(decoded) = decode(bytes, Path::new(name)) {
+                    assert!(
+                        decoded.width * decoded.height < 20_000 * bytes.len(),
+                        "{name}"
+                    );
+                    if decoded.width * decoded.height < 10_000 && decoded.width * decoded.height > 0
+                    {
+                        pyramid::build(decoded, true);
+                    }
+                }
+            };
+            for cut in 0..good.len() {
+                try_bytes(&good[..cut]);
+            }
+            for bit in 0..good.len().min(500) * 8 {
+                let mut bad = good.clone();
+                bad[bit / 8] ^= 1 << (bit % 8);
+                try_bytes(&bad);
+            }
+        }
+    }
+
+    #[test]
+    fn headers_that_promise_more_than_the_file_can_hold_are_refused() {
+        assert!(check_size(1024, 1024, 4, 100_000).is_ok());
+        assert!(check_size(60_000, 60_000, 4, 100).is_err());
+        assert!(check_size(70_000, 1, 1, 1 << 30).is_err());
+        assert!(check_size(usize::MAX, usize::MAX, 8, 1 << 30).is_err());
+    }
+}

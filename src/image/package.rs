@@ -6,7 +6,7 @@ use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// Size of a zip end record without its comment, bytes; the comment is at most 65535 bytes.
-const END_RECORD: u64 = 22;
+const END_RECORD: usize = 22;
 const MAX_COMMENT: u64 = 65_535;
 const END_SIGNATURE: [u8; 4] = *b"PK\x05\x06";
 const ENTRY_SIGNATURE: [u8; 4] = *b"PK\x01\x02";
@@ -109,11 +109,11 @@ fn find(package: &mut (impl Read + Seek), name: &str) -> io::Result<Entry> {
 /// The central directory, found through the end record at the end of the archive.
 fn directory(package: &mut (impl Read + Seek)) -> io::Result<Vec<u8>> {
     let length = package.seek(SeekFrom::End(0))?;
-    let tail = length.min(END_RECORD + MAX_COMMENT);
+    let tail = length.min(END_RECORD as u64 + MAX_COMMENT);
     package.seek(SeekFrom::Start(length - tail))?;
     let mut bytes = Vec::new();
     package.take(tail).read_to_end(&mut bytes)?;
-    let end = (bytes.windows(END_RECORD as usize))
+    let end = (bytes.windows(END_RECORD))
         .rev()
         .find(|record| record[..4] == END_SIGNATURE)
         .ok_or_else(|| invalid("not a usdz package".to_owned()))?;

@@ -26,6 +26,8 @@ pub(super) fn srgb_to_linear(encoded: f32) -> f32 {
 pub(super) enum Texels {
     /// 8-bit codes, sRGB-encoded (alpha is not) or linear.
     Bytes { codes: Vec<u8>, srgb: bool },
+    /// Linear, 0 to 65535 meaning 0 to 1: smaller levels of 8-bit images.
+    Fixed(Vec<u16>),
     /// Linear.
     Half(Vec<f16>),
     /// Linear.
@@ -43,60 +45,115 @@ pub(super) struct Level {
 }
 
 impl Level {
-    /// Linear value of sample `index` (channel included).
-    pub(super) fn sample(&self, index: usize) -> f32 {
+    /// Linear channels of texel `index`; those that the image does not have are 0.
+    pub(super) fn linear(&self, index: usize) -> [f32; 4] {
+        let span = index * self.channels..(index + 1) * self.channels;
+        let mut linear = [0.0; 4];
         match &self.texels {
             Texels::Bytes { codes, srgb } => {
-                let is_alpha = self.channels % 2 == 0 && index % self.channels == self.channels - 1;
-                let table = if *srgb && !is_alpha {
-                    &FROM_SRGB
-                } else {
-                    &FROM_LINEAR
-                };
-                table[usize::from(codes[index])]
+                let plain: &[f32; 256] = &FROM_LINEAR;
+                let table = if *srgb { &*FROM_SRGB } else { plain };
+                for (value, code) in linear.iter_mut().zip(&codes[span]) {
+                    *value = table[usize::from(*code)];
+                }
+                if self.channels.is_multiple_of(2) {
+                    let alpha = index * self.channels + self.channels - 1;
+                    linear[self.channels - 1] = plain[usize::from(codes[alpha])];
+                }
             }
-            Texels::Half(values) => values[index].to_f32(),
-            Texels::Float(values) => values[index],
+            Texels::Fixed(values) => {
+                for (value, fixed) in linear.iter_mut().zip(&values[span]) {
+                    *value = f32::from(*fixed) * (1.0 / FIXED_ONE);
+                }
+            }
+            Texels::Half(values) => {
+                for (value, half) in linear.iter_mut().zip(&values[span]) {
+                    *value = half.to_f32();
+                }
+            }
+            Texels::Float(values) => {
+                for (value, float) in linear.iter_mut().zip(&values[span]) {
+                    *value = *float;
+                }
+            }
         }
+        linear
     }
+}
 
-    /// The next smaller level; `None` after 1 × 1.
-    fn halved(&self) -> Option<Self> {
-        if self.width == 1 && self.height == 1 {
-            return None;
-        }
-        let (width, height) = (half_of(self.width), half_of(self.height));
-        let across = Cover::all(self.width, width);
-        let down = Cover::all(self.height, height);
-        let row_samples = self.width * self.channels;
-        let mut column = vec![0.0_f32; row_samples];
-        let mut values = Vec::with_capacity(width * height * self.channels);
+/// What 1 is in [`Texels::Fixed`].
+const FIXED_ONE: f32 = 65_535.0;
+
+/// A level before it is rounded for storage: the next one is made from it, so that errors do not add up.
+struct Precise {
+    width: usize,
+    height: usize,
+    channels: usize,
+    values: Vec<f32>,
+}
+
+impl Precise {
+    /// The next smaller level of an image of this size whose texels `texel` gives.
+    fn halved(
+        (width, height, channels): (usize, usize, usize),
+        texel: impl Fn(usize) -> [f32; 4],
+    ) -> Self {
+        let across = Cover::all(width, half_of(width));
+        let down = Cover::all(height, half_of(height));
+        let mut column = vec![[0.0_f32; 4]; width];
+        let mut values = Vec::with_capacity(across.len() * down.len() * channels);
         for rows in &down {
-            column.fill(0.0);
+            column.fill([0.0; 4]);
             for (y, weight) in rows.weights() {
-                for (x, sum) in column.iter_mut().enumerate() {
-                    *sum += weight * self.sample(y * row_samples + x);
+                for (x, sums) in column.iter_mut().enumerate() {
+                    let values = texel(y * width + x);
+                    for (sum, value) in sums.iter_mut().zip(values) {
+                        *sum += weight * value;
+                    }
                 }
             }
             for columns in &across {
-                values.extend((0..self.channels).map(|channel| -> f32 {
+                values.extend((0..channels).map(|channel| -> f32 {
                     let terms = columns.weights();
-                    terms
-                        .map(|(x, weight)| weight * column[x * self.channels + channel])
-                        .sum()
+                    terms.map(|(x, weight)| weight * column[x][channel]).sum()
                 }));
             }
         }
-        let texels = match self.texels {
-            Texels::Float(_) => Texels::Float(values),
-            _ => Texels::Half(values.into_iter().map(f16::from_f32).collect()),
+        Self {
+            width: across.len(),
+            height: down.len(),
+            channels,
+            values,
+        }
+    }
+
+    fn texel(&self, index: usize) -> [f32; 4] {
+        let mut texel = [0.0; 4];
+        let start = index * self.channels;
+        texel[..self.channels].copy_from_slice(&self.values[start..start + self.channels]);
+        texel
+    }
+
+    /// Rounded to what levels below `base` are stored in.
+    fn level(&self, base: &Texels) -> Level {
+        let values = self.values.iter();
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "means of 8-bit codes are 0 to 1"
+        )]
+        let fixed = |value: &f32| (value * FIXED_ONE).round() as u16;
+        let texels = match base {
+            Texels::Bytes { .. } | Texels::Fixed(_) => Texels::Fixed(values.map(fixed).collect()),
+            Texels::Half(_) => Texels::Half(values.map(|value| f16::from_f32(*value)).collect()),
+            Texels::Float(_) => Texels::Float(self.values.clone()),
         };
-        Some(Self {
-            width,
-            height,
+        Level {
+            width: self.width,
+            height: self.height,
             channels: self.channels,
             texels,
-        })
+        }
     }
 }
 
@@ -114,6 +171,8 @@ struct Cover {
 impl Cover {
     /// Covers of `to` texels that share `from` texels evenly (`from / to` is 1 to 3).
     fn all(from: usize, to: usize) -> Vec<Self> {
+        #[expect(clippy::cast_possible_truncation, reason = "0 to 1")]
+        let weight = |x: f64| x as f32;
         let size = from as f64 / to as f64;
         let cover = |index: usize| {
             // Integer division: where texel `index` begins, without rounding.
@@ -121,7 +180,7 @@ impl Cover {
             let (start, end) = (index as f64 * size, (index + 1) as f64 * size);
             let overlap = |k: usize| {
                 let texel = (first + k) as f64;
-                ((end.min(texel + 1.0) - start.max(texel)).max(0.0) / size) as f32
+                weight((end.min(texel + 1.0) - start.max(texel)).max(0.0) / size)
             };
             Self {
                 first,
@@ -173,9 +232,17 @@ pub(super) fn build(decoded: super::decode::Decoded, srgb: bool) -> (Vec<Level>,
         channels,
         texels,
     };
+    let mut next = (base.width.max(base.height) > 1).then(|| {
+        let size = (base.width, base.height, channels);
+        Precise::halved(size, |index| base.linear(index))
+    });
     let mut levels = vec![base];
-    while let Some(next) = levels.last().and_then(Level::halved) {
-        levels.push(next);
+    while let Some(samples) = next {
+        levels.push(samples.level(&levels[0].texels));
+        next = (samples.width.max(samples.height) > 1).then(|| {
+            let size = (samples.width, samples.height, channels);
+            Precise::halved(size, |index| samples.texel(index))
+        });
     }
     (levels, repaired)
 }
@@ -186,16 +253,14 @@ mod tests {
     use super::*;
 
     fn mean(level: &Level) -> f64 {
-        let count = level.width * level.height * level.channels;
-        (0..count)
-            .map(|index| f64::from(level.sample(index)))
-            .sum::<f64>()
-            / count as f64
+        let count = level.width * level.height;
+        let sums = (0..count).map(|index| f64::from(level.linear(index).iter().sum::<f32>()));
+        sums.sum::<f64>() / count as f64
     }
 
     fn ramp(width: usize, height: usize, channels: usize) -> Decoded {
         let codes = (0..width * height * channels)
-            .map(|i| (i * i * 37 % 251) as u8)
+            .map(|i| u8::try_from(i * i * 37 % 251).unwrap())
             .collect();
         Decoded {
             width,
@@ -214,9 +279,9 @@ mod tests {
                 assert_eq!((last.width, last.height, repaired), (1, 1, 0));
                 let expected = mean(&levels[0]);
                 for level in &levels {
-                    // Half precision keeps 11 bits.
+                    // 16 bits of 1: half a step is 1e-5.
                     assert!(
-                        (mean(level) - expected).abs() < 1e-3 * expected,
+                        (mean(level) - expected).abs() < 3e-5 * expected,
                         "{width} × {height}"
                     );
                 }
@@ -270,8 +335,8 @@ mod tests {
             },
             true,
         );
-        assert_eq!(levels[0].sample(3), 128.0 / 255.0);
-        assert!((levels[0].sample(0) - 0.502_886).abs() < 1e-5);
+        assert_eq!(levels[0].linear(0)[3], 128.0 / 255.0);
+        assert!((levels[0].linear(0)[0] - 0.502_886).abs() < 1e-5);
     }
 
     #[test]

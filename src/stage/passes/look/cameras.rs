@@ -1,4 +1,4 @@
-//! UsdGeomCamera prims → [`Camera`]s, with the schema's fallbacks.
+//! `Camera` prims → [`Camera`]s, with the schema's fallbacks.
 
 use super::paths::Paths;
 use super::values::Values;

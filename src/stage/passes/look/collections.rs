@@ -1,4 +1,4 @@
-//! UsdCollectionAPI: which paths a collection holds (include and exclude rules; path expressions are not evaluated).
+//! `CollectionAPI`: which paths a collection holds (include and exclude rules; path expressions are not evaluated).
 
 use super::paths::{Paths, split_property};
 use super::values::Values;

@@ -7,7 +7,7 @@ use super::textures::{primvar_read, texture_read};
 use super::values::color;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Input, Material};
-use glam::{Vec3, Vec4};
+use glam::Vec4;
 
 /// What an input is, which decides how a single number or a color is understood.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -187,7 +187,7 @@ impl Reader<'_> {
 fn constant(value: Vec4, kind: Kind) -> Input {
     match kind {
         Kind::Scalar => Input::scalar(value.x),
-        Kind::Color => Input::Constant(Vec3::from(value.truncate()).extend(1.0)),
+        Kind::Color => Input::Constant(value.truncate().extend(1.0)),
     }
 }
 

@@ -30,7 +30,7 @@ use std::collections::{BTreeSet, HashMap};
 pub struct Look {
     /// Materials that some prim binds, in order of first use.
     pub materials: Vec<Material>,
-    /// For each occurrence, the material that applies to it (meaningful for gprims and GeomSubsets: the strongest of
+    /// For each occurrence, the material that applies to it (meaningful for gprims and GeomSubset prims: the strongest of
     /// direct, inherited and collection bindings, purposes `full` then all-purpose).
     pub binding: Vec<Option<MaterialId>>,
     /// Visible lights.
@@ -139,7 +139,7 @@ fn bind(look: &mut Look, paths: &Paths<'_>, purposes: &[&str], diagnostics: &Dia
     look.primvars = primvars.into_iter().map(str::to_owned).collect();
 }
 
-/// Gprims and GeomSubsets: what a material can show on.
+/// Gprims and GeomSubset prims: what a material can show on.
 fn takes_material(type_name: &str) -> bool {
     matches!(
         type_name,

@@ -1,5 +1,5 @@
 //! Surface shaders other than UsdPreviewSurface, reduced to base color, emission, metalness, roughness and opacity by
-//! the names of their inputs: MaterialX standard_surface, OpenPBR and glTF, Arnold, RenderMan, MDL's OmniPBR.
+//! the names of their inputs: MaterialX `standard_surface`, `OpenPBR` and glTF, Arnold, RenderMan, MDL's `OmniPBR`.
 
 use super::materials::{Kind, Reader};
 use super::network::{shader_id, value};
@@ -116,7 +116,7 @@ fn scaled(input: Input, weight: f32) -> Input {
     }
 }
 
-/// MDL's OmniPBR emits only when told to; everything else emits what its color says.
+/// MDL's `OmniPBR` emits only when told to; everything else emits what its color says.
 fn emission_is_enabled(reader: &Reader<'_>, prim: usize) -> bool {
     let switch = value(reader.paths, prim, "enable_emission").and_then(number);
     let off_by_default = shader_id(reader.paths.prim(prim)).starts_with("Omni");

@@ -93,7 +93,7 @@ impl Reader<'_> {
             aspect_ratio_conform_policy: base.aspect_ratio_conform_policy,
             data_window_ndc: base.data_window_ndc,
             vars: (self.targets(prim, "orderedVars", "RenderVar").into_iter())
-                .map(|prim| var(prim))
+                .map(var)
                 .collect(),
         }
     }
@@ -179,69 +179,80 @@ mod tests {
     use super::super::fixture::Fixture;
     use super::*;
 
-    #[test]
-    fn products_inherit_from_settings_what_they_do_not_author() {
-        let mut stage = Fixture::default()
-            .prim("/Render", "Scope")
-            .prim("/Render/other", "RenderSettings")
-            .value("resolution", Value::Vec2(DVec2::new(-1.0, 5.0)))
-            .prim("/Render/main", "RenderSettings")
-            .rel("camera", &["/cam"])
-            .rel("products", &["/Render/p", "/Render/q", "/Render/gone"])
-            .value("resolution", Value::Vec2(DVec2::new(640.0, 480.0)))
-            .number("pixelAspectRatio", 2.0)
-            .prim("/Render/p", "RenderProduct")
-            .rel("orderedVars", &["/Render/N", "/Render/ao"])
-            .prim("/Render/q", "RenderProduct")
-            .rel("camera", &["/cam2"])
-            .token("productName", "beauty.exr")
-            .value("resolution", Value::Vec2(DVec2::new(32.0, 16.0)))
-            .prim("/Render/N", "RenderVar")
-            .token("sourceName", "Neye")
-            .prim("/Render/ao", "RenderVar")
-            .token("driver:parameters:aov:name", "occlusion");
-        stage.raw.meta.render_settings_prim_path = Some("/Render/main".to_owned());
+    fn read_settings(stage: &Fixture) -> (Vec<RenderSettings>, usize) {
         let occurrences = stage.occurrences();
         let diagnostics = Diagnostics::default();
-        let all = read(
-            &stage.raw,
-            &Paths::new(&stage.raw, &occurrences),
-            &diagnostics,
-        );
+        let paths = Paths::new(&stage.raw, &occurrences);
+        let all = read(&stage.raw, &paths, &diagnostics);
+        (all, diagnostics.warnings().len())
+    }
 
-        assert_eq!(
-            all.iter().map(|s| s.path.as_str()).collect::<Vec<_>>(),
-            ["/Render/main", "/Render/other"]
-        );
-        assert_eq!(all[1].resolution, (2048, 1080));
-        assert_eq!(all[0].material_binding_purposes, ["full", ""]);
+    #[test]
+    fn products_inherit_from_settings_what_they_do_not_author() {
+        let stage = Fixture::default()
+            .prim("/s", "RenderSettings")
+            .rel("camera", &["/cam"])
+            .rel("products", &["/p", "/q", "/gone"])
+            .value("resolution", Value::Vec2(DVec2::new(640.0, 480.0)))
+            .number("pixelAspectRatio", 2.0)
+            .prim("/p", "RenderProduct")
+            .prim("/q", "RenderProduct")
+            .rel("camera", &["/cam2"])
+            .token("productName", "beauty.exr")
+            .value("resolution", Value::Vec2(DVec2::new(32.0, 16.0)));
+        let (all, warnings) = read_settings(&stage);
         let [p, q] = all[0].products.as_slice() else {
             panic!("two products")
         };
         assert_eq!(
-            (p.name.as_str(), p.camera.as_deref(), p.resolution),
-            ("p.exr", Some("/cam"), (640, 480))
+            (p.name.as_str(), p.camera.as_deref()),
+            ("p.exr", Some("/cam"))
         );
         assert_eq!(
-            (q.name.as_str(), q.camera.as_deref(), q.resolution),
-            ("beauty.exr", Some("/cam2"), (32, 16))
+            (q.name.as_str(), q.camera.as_deref()),
+            ("beauty.exr", Some("/cam2"))
         );
-        assert_eq!(q.pixel_aspect_ratio, 2.0);
-        let vars: Vec<_> = p
-            .vars
-            .iter()
-            .map(|v| {
-                (
-                    v.name.as_str(),
-                    v.source_name.as_str(),
-                    v.data_type.as_str(),
-                )
-            })
+        assert_eq!((p.resolution, q.resolution), ((640, 480), (32, 16)));
+        assert_eq!(
+            (q.pixel_aspect_ratio, q.product_type.as_str()),
+            (2.0, "raster")
+        );
+        assert_eq!(warnings, 1, "the product that is gone");
+    }
+
+    #[test]
+    fn the_settings_that_the_stage_names_come_first_and_fallbacks_are_the_schemas() {
+        let mut stage = Fixture::default()
+            .prim("/a", "RenderSettings")
+            .value("resolution", Value::Vec2(DVec2::new(-1.0, 5.0)))
+            .prim("/b", "RenderSettings");
+        stage.raw.meta.render_settings_prim_path = Some("/b".to_owned());
+        let (all, warnings) = read_settings(&stage);
+        assert_eq!([&all[0].path, &all[1].path], ["/b", "/a"]);
+        assert_eq!((all[1].resolution, warnings), ((2048, 1080), 1));
+        assert_eq!(all[0].material_binding_purposes, ["full", ""]);
+        assert_eq!(all[0].included_purposes, ["default", "render"]);
+    }
+
+    #[test]
+    fn vars_are_named_by_the_driver_else_by_their_prim() {
+        let stage = Fixture::default()
+            .prim("/s", "RenderSettings")
+            .rel("products", &["/p"])
+            .prim("/p", "RenderProduct")
+            .rel("orderedVars", &["/N", "/ao"])
+            .prim("/N", "RenderVar")
+            .token("sourceName", "Neye")
+            .prim("/ao", "RenderVar")
+            .token("driver:parameters:aov:name", "occlusion");
+        let (all, _) = read_settings(&stage);
+        let vars = all[0].products[0].vars.iter();
+        let vars: Vec<_> = vars
+            .map(|var| [&var.name, &var.source_name, &var.data_type].map(String::as_str))
             .collect();
         assert_eq!(
             vars,
-            [("N", "Neye", "color3f"), ("occlusion", "", "color3f")]
+            [["N", "Neye", "color3f"], ["occlusion", "", "color3f"]]
         );
-        assert_eq!(diagnostics.warnings().len(), 2);
     }
 }

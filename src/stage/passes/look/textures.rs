@@ -1,4 +1,4 @@
-//! Texture nodes: UsdUVTexture with its coordinates (UsdTransform2d, UsdPrimvarReader_float2), and the image nodes of
+//! Texture nodes: UsdUVTexture with its coordinates (UsdTransform2d, `UsdPrimvarReader_float2`), and the image nodes of
 //! other shader libraries as far as their file and coordinates can be recognised.
 //!
 //! Fallbacks are those of the UsdPreviewSurface specification, except that texture coordinates that are neither
@@ -154,7 +154,7 @@ fn transform_2d(paths: &Paths<'_>, node: usize) -> Affine2 {
     }
 }
 
-/// Primvar name and fallback of a UsdPrimvarReader (or a MaterialX `geompropvalue`); `None` for any other node.
+/// Primvar name and fallback of a `UsdPrimvarReader` (or a MaterialX `geompropvalue`); `None` for any other node.
 pub(super) fn primvar_read(paths: &Paths<'_>, node: usize) -> Option<(String, Vec4)> {
     let id = shader_id(paths.prim(node));
     let (name_input, fallback_input) = if id.contains("UsdPrimvarReader") {

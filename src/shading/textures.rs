@@ -1,0 +1,119 @@
+//! The textures of a scene's materials, each decoded once, in parallel.
+
+use crate::diagnostics::Diagnostics;
+use crate::image::{Error, Texture};
+use crate::scene::{ColorSpace, Input, Material, TextureRead};
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// Decoded textures.
+#[derive(Debug, Default)]
+pub(super) struct Textures {
+    loaded: Vec<Option<Texture>>,
+    by_file: HashMap<(PathBuf, u8), usize>,
+}
+
+/// Index of a texture that was decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct TextureId(usize);
+
+/// Textures that `material`'s diffuse surface and emission read.
+fn reads(material: &Material) -> impl Iterator<Item = &TextureRead> {
+    let inputs = [
+        &material.diffuse_color,
+        &material.emissive_color,
+        &material.metallic,
+        &material.opacity,
+        &material.opacity_threshold,
+    ];
+    inputs.into_iter().filter_map(|input| match input {
+        Input::Texture(read) => Some(read.as_ref()),
+        _ => None,
+    })
+}
+
+fn key(read: &TextureRead) -> (PathBuf, u8) {
+    let color_space = match read.color_space {
+        ColorSpace::Auto => 0,
+        ColorSpace::Raw => 1,
+        ColorSpace::SRgb => 2,
+    };
+    (read.file.clone(), color_space)
+}
+
+impl Textures {
+    /// Decode what `materials` read. Files that cannot be decoded are warnings, one for each material.
+    pub(super) fn load<'m>(
+        materials: impl Iterator<Item = &'m Material> + Clone,
+        diagnostics: &Diagnostics,
+    ) -> Self {
+        let mut by_file = HashMap::new();
+        let mut files: Vec<&TextureRead> = Vec::new();
+        for read in materials.clone().flat_map(reads) {
+            by_file.entry(key(read)).or_insert_with(|| {
+                files.push(read);
+                files.len() - 1
+            });
+        }
+        let phase = diagnostics.phase("textures", "files", files.len() as u64);
+        let load = |read: &&TextureRead| {
+            let texture = Texture::load(&read.file, read.color_space);
+            phase.advance(1);
+            texture
+        };
+        let loaded: Vec<Result<Texture, Error>> = files.par_iter().map(load).collect();
+        for material in materials {
+            for read in reads(material) {
+                warn(material, read, &loaded[by_file[&key(read)]], diagnostics);
+            }
+        }
+        Self {
+            loaded: loaded.into_iter().map(Result::ok).collect(),
+            by_file,
+        }
+    }
+
+    /// The texture that `read` reads, if it could be decoded.
+    pub(super) fn find(&self, read: &TextureRead) -> Option<TextureId> {
+        let index = *self.by_file.get(&key(read))?;
+        self.loaded[index].as_ref().map(|_| TextureId(index))
+    }
+
+    /// A texture that was found.
+    pub(super) fn get(&self, id: TextureId) -> &Texture {
+        self.loaded[id.0]
+            .as_ref()
+            .expect("ids are given to decoded textures only")
+    }
+}
+
+fn warn(
+    material: &Material,
+    read: &TextureRead,
+    loaded: &Result<Texture, Error>,
+    diagnostics: &Diagnostics,
+) {
+    let file = |path: &Path| path.display().to_string();
+    match loaded {
+        Ok(texture) if texture.repaired() > 0 => diagnostics.warn(
+            "invalid-texture",
+            &material.path,
+            format!(
+                "{} has {} samples that are not finite: they count as 0",
+                file(&read.file),
+                texture.repaired()
+            ),
+        ),
+        Ok(_) => {}
+        Err(error) => {
+            let cause = std::error::Error::source(error)
+                .map_or(String::new(), |cause| format!(" ({cause})"));
+            let message = format!(
+                "{error}{cause}: texture {} gives its fallback {}",
+                read.shader, read.fallback
+            );
+            diagnostics.warn("missing-texture", &material.path, message);
+        }
+    }
+}
