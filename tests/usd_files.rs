@@ -116,7 +116,12 @@ fn a_cloud_comes_back_to_the_bit_from_binary_and_text() {
         write_cloud(&cloud, &path);
         let diagnostics = Diagnostics::default();
         let back = read_cloud(&path, origin, &diagnostics).expect("read");
-        assert_eq!(back, cloud, "{name}");
+        assert_eq!(back.normal, cloud.normal, "{name}");
+        assert_eq!(back.radius, cloud.radius, "{name}");
+        assert_eq!(back.area, cloud.area, "{name}");
+        assert_eq!(back.prim_paths, cloud.prim_paths, "{name}");
+        assert_eq!(back.spacing, cloud.spacing, "{name}");
+        assert!(back == cloud, "{name}");
         assert_eq!(diagnostics.warnings(), []);
     }
 }
@@ -422,15 +427,17 @@ def Xform "World" {{
                references = @./parts/part.usda@ ) {{}}
     def "i2" ( instanceable = true
                references = @./parts/part.usda@ ) {{}}
-    def "v" ( variants = {{ string shape = "quad" }}
+    def Xform "v" ( variants = {{ string shape = "quad" }}
               prepend variantSets = "shape" ) {{
         variantSet "shape" = {{
             "quad" {{
                 def Mesh "quad" {{
                     {quad}
                     rel material:binding = </World/look>
+                    uniform token subsetFamily:materialBind:familyType = "nonOverlapping"
                     def GeomSubset "s" ( prepend apiSchemas = ["MaterialBindingAPI"] ) {{
                         uniform token elementType = "face"
+                        uniform token familyName = "materialBind"
                         int[] indices = [0]
                         rel material:binding = </World/look>
                     }}
@@ -746,7 +753,7 @@ fn the_validators_of_usd_find_nothing_structural_in_a_bake() {
 const BLENDER_BAKE: &str = r#"
 import bpy, json, numpy, sys
 bpy.ops.wm.read_factory_settings(use_empty=True)
-bpy.ops.wm.usd_import(filepath=sys.argv[1])
+bpy.ops.wm.usd_import(filepath=sys.argv[1], merge_parent_xform=False)
 out = {}
 for o in bpy.data.objects:
     if o.type != "MESH":
@@ -776,6 +783,7 @@ fn blender_shows_the_bake_with_every_value() {
     let results = results(6, 0);
     for (parent, prim) in [("direct", 0), ("i1", 1), ("i2", 2), ("v", 3)] {
         let entry = &read[parent];
+        assert!(entry["occlusion"].is_array(), "{parent}: {read}");
         let expected: Vec<f32> = (0..4)
             .map(|i| value(&results, Aov::Occlusion, prim, i)[0])
             .collect();

@@ -194,6 +194,8 @@ impl Part<'_> {
         let custom = self.file.metadata(&self.prim, "customData");
         match entry(entry(custom, "surflux"), "primPaths") {
             Some(Value::StringVec(paths)) => paths,
+            // openusd's text parser takes every array of strings in a dictionary for tokens
+            Some(Value::TokenVec(paths)) => paths.into_iter().map(String::from).collect(),
             _ => Vec::new(),
         }
     }
