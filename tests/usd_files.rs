@@ -50,8 +50,16 @@ fn json(text: &str) -> Json {
 fn floats(value: &Json) -> Vec<f32> {
     match value {
         Json::Array(values) => values.iter().flat_map(floats).collect(),
-        other => vec![other.as_f64().expect("a number") as f32],
+        other => vec![single(other.as_f64().expect("a number"))],
     }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "values are compared in single precision"
+)]
+fn single(value: f64) -> f32 {
+    value as f32
 }
 
 fn flat(values: &[Vec3]) -> Vec<f32> {
@@ -409,9 +417,8 @@ fn asset() -> TempDir {
                 point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0)]\n uniform token subdivisionScheme = \"none\"\n \
                 color3f[] primvars:displayColor = [(1,0,0), (0,1,0)] (interpolation = \"vertex\")\n \
                 int[] primvars:displayColor:indices = [0, 1, 0, 1]";
-    let part = format!(
-        "#usda 1.0\n( defaultPrim = \"p\" )\ndef Xform \"p\" ( payload = @./mesh.usda@</m> ) {{}}\n"
-    );
+    let part =
+        "#usda 1.0\n( defaultPrim = \"p\" )\ndef Xform \"p\" ( payload = @./mesh.usda@</m> ) {}\n";
     fs::write(folder.path().join("parts/part.usda"), part).expect("written");
     let mesh = format!("#usda 1.0\ndef Xform \"m\" {{\n def Mesh \"quad\" {{\n {quad}\n }}\n}}\n");
     fs::write(folder.path().join("parts/mesh.usda"), mesh).expect("written");
@@ -523,7 +530,7 @@ fn spans(prims: u32) -> Vec<PrimvarSpan> {
 fn results(prims: u32, salt: u32) -> Results {
     let buffer = |aov: Aov| AovBuffer {
         aov,
-        data: (0..prims * 4 * aov.components() as u32)
+        data: (0..prims * 4 * u32::try_from(aov.components()).expect("few"))
             .map(|i| noise(i + salt))
             .collect(),
     };
@@ -600,11 +607,11 @@ fn has_values(read: &Json, mesh: &str, prims: &[u32]) {
         assert_eq!(entry[1], "vertex");
         let read = floats(&entry[2]);
         assert_eq!(read.len(), 4 * aov.components(), "{mesh} {aov}");
-        for (i, read) in read.chunks(aov.components()).enumerate() {
+        for (i, read) in (0..).zip(read.chunks(aov.components())) {
             for (c, &read) in read.iter().enumerate() {
-                let one = |&prim: &u32| f64::from(value(&results, aov, prim, i as u32)[c]);
+                let one = |&prim: &u32| f64::from(value(&results, aov, prim, i)[c]);
                 let mean = prims.iter().map(one).sum::<f64>() / prims.len() as f64;
-                assert_eq!(read, mean as f32, "{mesh} {aov} {i} {c}");
+                assert_eq!(read, single(mean), "{mesh} {aov} {i} {c}");
             }
         }
     }
