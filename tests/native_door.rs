@@ -1274,7 +1274,7 @@ fn composition_features_read_like_usd_core_reads_them() {
 const RICH: &str = r#"#usda 1.0
 (defaultPrim = "World" customLayerData = { string tool = "t" dictionary more = { int n = 3 } })
 def Xform "World" (kind = "group" prepend apiSchemas = ["MaterialBindingAPI"] variants = { string v = "a" } prepend variantSets = "v"
-    inherits = </World/C> references = </World/C> payload = </World/C>) {
+    inherits = </K> references = </K> payload = </K>) {
     point3f[] points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1)]
     int[] faceVertexCounts = [3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3]
     float[] widths = [1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3]
@@ -1286,6 +1286,7 @@ def Xform "World" (kind = "group" prepend apiSchemas = ["MaterialBindingAPI"] va
     def Sphere "C" { double radius = 2 color3f[] primvars:displayColor = [(1, 0, 0)] (interpolation = "constant") }
     variantSet "v" = { "a" { int chosen = 1 } "b" { int chosen = 2 } }
 }
+class "K" { def "Part" (inherits = </K/Base>) { double d = 1 } class "Base" {} }
 "#;
 
 fn binary(text: &str) -> Vec<u8> {
@@ -1327,4 +1328,86 @@ fn bit_flips_are_survived() {
             survive(folder.path(), "flipped.usdc", &bytes);
         }
     }
+}
+
+#[test]
+fn class_arcs_in_circles_are_an_error_that_names_the_layer() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("circle.usda");
+    let text = "#usda 1.0\ndef \"W\" { def \"a\" (inherits = </W/b>) {} def \"b\" (inherits = </W/a>) {} }\n";
+    std::fs::write(&path, text).expect("a file");
+    let error = native(&Case::new(&path, None), &Diagnostics::default()).expect_err("a circle");
+    let message = error.to_string();
+    assert!(
+        message.contains("circle.usda") && message.contains("run in circles"),
+        "{message}"
+    );
+}
+
+#[test]
+fn an_unreadable_referenced_layer_is_an_error_and_a_missing_one_a_warning() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let root = folder.path().join("root.usda");
+    let write = |reference: &str| {
+        let text = format!("#usda 1.0\ndef \"P\" (references = @./{reference}@</A>) {{}}\n");
+        std::fs::write(&root, text).expect("a file");
+        let diagnostics = Diagnostics::default();
+        let result = native(&Case::new(&root, None), &diagnostics);
+        (result, diagnostics.warnings())
+    };
+    std::fs::write(
+        folder.path().join("bad.usda"),
+        "#usda 1.0\ndef \"A\" { int a = }\n",
+    )
+    .expect("a file");
+    let message = write("bad.usda").0.expect_err("a parse error").to_string();
+    assert!(
+        message.contains("bad.usda") && message.contains("--usd usd-core"),
+        "{message}"
+    );
+    let (stage, warnings) = write("gone.usda");
+    assert_eq!(stage.expect("the rest is read").prims.len(), 1);
+    assert_eq!(warnings[0].kind, "missing-layer");
+    assert!(
+        warnings[0].message.contains("gone.usda"),
+        "{}",
+        warnings[0].message
+    );
+}
+
+#[test]
+fn masks_and_packages_read_like_usd_core_reads_them() {
+    let Some(python) = python() else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let package = folder.path().join("p.usdz");
+    let mut writer = openusd::usdz::ArchiveWriter::create(&package).expect("a package");
+    let root =
+        "#usda 1.0\ndef \"R\" (references = @./parts/a.usda@</A>) { asset tex = @tex/t.png@ }\n";
+    writer
+        .add_layer("root.usda", root.as_bytes())
+        .expect("an entry");
+    let part = "#usda 1.0\ndef \"A\" { asset near = @../tex/t.png@\nasset gone = @./t.png@ }\n";
+    writer
+        .add_layer("parts/a.usda", part.as_bytes())
+        .expect("an entry");
+    writer.add_layer("tex/t.png", b"png").expect("an entry");
+    writer.finish().expect("a package");
+    let outer = folder.path().join("outer.usda");
+    let text = "#usda 1.0\ndef \"O\" (references = @./p.usdz@</R>) { asset inner = @./p.usdz[tex/t.png]@ }\n";
+    std::fs::write(&outer, text).expect("a file");
+    let masked = folder.path().join("masked.usda");
+    let text = "#usda 1.0\ndef \"W\" { def \"A\" { def \"B\" {} }\ndef \"C\" { def \"D\" {} }\n\
+                def \"I\" (instanceable = true references = </W/A>) {} }\ndef \"X\" {}\n";
+    std::fs::write(&masked, text).expect("a file");
+    let mut cases = vec![Case::new(&package, None), Case::new(&outer, None)];
+    for mask in [vec!["/W/A"], vec!["/W/C/D", "/X"], vec!["/W/I"]] {
+        cases.push(Case {
+            mask: mask.into_iter().map(str::to_owned).collect(),
+            ..Case::new(&masked, None)
+        });
+    }
+    let tally = compare(&python, &cases);
+    assert!(tally.different.is_empty(), "{}", tally.different.join("\n"));
 }
