@@ -1281,14 +1281,17 @@ fn bit_flips_are_survived() {
 fn class_arcs_in_circles_are_an_error_that_names_the_layer() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("circle.usda");
-    let text = "#usda 1.0\ndef \"W\" { def \"a\" (inherits = </W/b>) {} def \"b\" (inherits = </W/a>) {} }\n";
-    std::fs::write(&path, text).expect("a file");
-    let error = native(&Case::new(&path, None), &Diagnostics::default()).expect_err("a circle");
-    let message = error.to_string();
-    assert!(
-        message.contains("circle.usda") && message.contains("run in circles"),
-        "{message}"
-    );
+    for text in [
+        "def \"W\" { def \"a\" (inherits = </W/b>) {} def \"b\" (inherits = </W/a>) {} }",
+        "def \"W\" (inherits = </K> references = </K/P>) {}\n\
+         class \"K\" { def \"P\" (inherits = </K/B>) {} class \"B\" {} }",
+    ] {
+        std::fs::write(&path, format!("#usda 1.0\n{text}\n")).expect("a file");
+        let result = native(&Case::new(&path, None), &Diagnostics::default());
+        let message = result.expect_err("a circle").to_string();
+        let named = message.contains("circle.usda") && message.contains("run in circles");
+        assert!(named, "{message}");
+    }
 }
 
 #[test]

@@ -1,7 +1,9 @@
 //! Inherits and specializes that lead back to where they start. The crate follows those of a prim and of its parent
 //! without an end in sight, until the stack overflows; so such layers are refused before they are composed.
 
+use openusd::pcp::{LayerId, PrimIndex};
 use openusd::sdf::{AbstractData, FieldKey, Path, Value};
+use openusd::usd::Stage;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The fields that hold such arcs, as they are spelled in text and in binary layers.
@@ -78,6 +80,42 @@ impl ClassArcs {
         let above = path.parent().and_then(|parent| self.0.get(&parent));
         own.into_iter().chain(above).flatten().cloned().collect()
     }
+}
+
+/// True if composing a child of the prim at `path` would not end: a class arc on one of the prim's own sites comes out,
+/// mapped to the stage, as a child of the prim, for which the crate would look at the same sites again.
+pub(super) fn children_run_in_circles(stage: &Stage, index: &PrimIndex, path: &Path) -> bool {
+    index.nodes().filter(|node| node.has_specs()).any(|node| {
+        let layers = stage.node_layer_stack(node).into_iter();
+        let mut targets = layers.flat_map(|(id, _)| class_targets(stage, id, node.path()));
+        targets.any(|target| {
+            let mut mapped = index
+                .nodes()
+                .filter_map(|node| node.map_to_root().map_source_to_target(&target));
+            target.parent().as_ref() == Some(path)
+                || mapped.any(|mapped| mapped.parent().as_ref() == Some(path))
+        })
+    })
+}
+
+fn class_targets(stage: &Stage, layer: LayerId, at: &Path) -> Vec<Path> {
+    let mut targets = Vec::new();
+    let identifier = stage.layer_identifier(layer).unwrap_or_default();
+    let Some(layer) = stage.layer(&identifier) else {
+        return targets;
+    };
+    for field in FIELDS {
+        if let Ok(Some(value)) = layer.data().try_field(at, field.as_str())
+            && let Value::PathListOp(list) = value.as_ref()
+        {
+            targets.extend(
+                list.flatten()
+                    .iter()
+                    .map(|target| at.make_absolute(target).strip_all_variant_selections()),
+            );
+        }
+    }
+    targets
 }
 
 #[cfg(test)]
