@@ -142,6 +142,10 @@ impl Source for WorkerSource {
     fn name(&self) -> &'static str {
         "usd-core"
     }
+
+    fn peak_memory_bytes(&self) -> Option<u64> {
+        super::process_peak_memory(self.process_id())
+    }
 }
 
 /// A path that the operating system knows must be readable; others (resolver URIs, files in packages) are USD's business.
