@@ -25,7 +25,7 @@ use std::collections::HashSet;
 /// From here on a crease never smooths (OpenSubdiv's `SHARPNESS_INFINITE`).
 const INFINITE_SHARPNESS: f32 = 10.0;
 
-/// Refine `mesh` `level` (1 or more) times. Topology that cannot be subdivided (a face that uses a point twice, Loop
+/// Refine `mesh` `level` times; 0 only if all its faces are of the size that the scheme refines into. Topology that cannot be subdivided (a face that uses a point twice, Loop
 /// with other faces than triangles) gives a warning and the mesh as polygons.
 pub(super) fn subdivide(mesh: &AuthoredMesh, level: usize, diagnostics: &Diagnostics) -> Mesh {
     match Refined::new(mesh, level, diagnostics) {
@@ -84,7 +84,7 @@ impl<'a> Refined<'a> {
             faces,
             position_of_vertex,
             position_count: position_count.max(mesh.topology.point_count),
-            face_size: if mesh.scheme == Scheme::Loop { 3 } else { 4 },
+            face_size: mesh.scheme.face_size() as usize,
             refiner,
         })
     }
@@ -162,6 +162,13 @@ impl<'a> Refined<'a> {
     fn limit<T: opensubdiv_rs::far::Primvar>(&self, values: &[T]) -> Vec<T> {
         let mut limit = values.to_vec();
         PrimvarRefiner::new(&self.refiner).limit(values, &mut limit);
+        if self.refiner.max_level() == 0 {
+            // The cage may have points that no face uses: they have no limit and stay.
+            let is_unused = |vertex: &usize| self.last().vertex_faces(*vertex).is_empty();
+            for vertex in (0..values.len()).filter(is_unused) {
+                limit[vertex].clone_from(&values[vertex]);
+            }
+        }
         limit
     }
 
@@ -268,14 +275,22 @@ impl<'a> Refined<'a> {
         (normals, points, corners)
     }
 
-    /// The normal of every cage face-vertex is that of the refined face in its corner: child i of a face lies at its
+    /// The normal of every cage face-vertex is that of the refined face in its corner (the face itself at level 0): child i of a face lies at its
     /// corner i, and has that corner first (quads) or in place (triangles).
     fn cage_corner_normals(&self, sectors: &SectorNormals) -> Vec<Vec3> {
         let topology = &self.mesh.topology;
         let mut normals = vec![Vec3::ZERO; topology.indices.len()];
         let mut first_child = 0;
-        for &face in &self.faces {
+        let is_refined = self.refiner.max_level() > 0;
+        for (index, &face) in self.faces.iter().enumerate() {
             for (corner, slot) in topology.corners(face as usize).enumerate() {
+                if !is_refined {
+                    let sector = sectors.sector_of_corner[index * self.face_size + corner];
+                    if let Some(normal) = sectors.normals.get(sector as usize) {
+                        normals[slot] = *normal;
+                    }
+                    continue;
+                }
                 let mut child = first_child + corner;
                 let place = if self.face_size == 3 { corner } else { 0 };
                 for _ in 1..self.refiner.max_level() {
@@ -376,7 +391,7 @@ impl<'a> Refined<'a> {
         let base = arrays(&primvar.values);
         let values = rules.interpolate_face_varying_all(channel, &base).pop();
         let values = values.unwrap_or(base);
-        let mut limit = values.clone();
+        let mut limit = vec![[0.0; 4]; self.last().num_fvar_values(channel)];
         rules.limit_face_varying(channel, &values, &mut limit);
         let last = self.last();
         let at = |corner: u32| {
@@ -413,6 +428,9 @@ fn mean(values: &[[f32; 4]], vertices: &[u32]) -> [f32; 4] {
 fn order_vertices(refiner: &TopologyRefiner, cage_indices: &[u32]) -> (Vec<u32>, usize) {
     let last = refiner.max_level();
     let point_count = refiner.level(0).num_vertices();
+    if last == 0 {
+        return ((0..small(point_count)).collect(), point_count);
+    }
     let mut positions = vec![u32::MAX; refiner.level(last).num_vertices()];
     let mut is_used = vec![false; point_count];
     for &point in cage_indices {
