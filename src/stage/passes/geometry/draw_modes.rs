@@ -81,7 +81,7 @@ mod tests {
                 mode(applied(xform("/a/box", Some(0))), "bounds"),
                 component(xform("/plain", None)),
             ]),
-            ["/a/chair", "/a/box"]
+            ["/a/box", "/a/chair"]
         );
     }
 }

@@ -701,7 +701,7 @@ mod tests {
     /// Halstead et al.: (n² V + 4 Σ E + Σ F) / (n (n + 5)) with n = 3 halves the corners of a cube.
     #[test]
     fn corners_of_a_cube_have_their_limit_at_half_at_every_level() {
-        for level in 1..=3 {
+        for level in 0..=3 {
             let mesh = refine(&cube(), level);
             for corner in 0..8 {
                 let sign = Vec3::from_array(mesh.positions[corner].to_array().map(f32::signum));
@@ -741,6 +741,69 @@ mod tests {
         assert!((middle.z - blend(weights, weights)).abs() < 1e-6);
         let normal = Vec3::new(-blend(slopes, weights), -blend(weights, slopes), 1.0);
         assert!(point_normals(&mesh)[12].distance(normal.normalize()) < 1e-5);
+    }
+
+    /// Limits do not depend on the level they are taken at, so the cage's own must be those of two levels further: with
+    /// holes, a point that no face uses, turned faces, sharp edges and seams.
+    #[test]
+    fn the_cage_alone_has_the_limits_of_its_refinement() {
+        let mut prim = grid(4, |p| (7.0 * p.x + 3.0 * p.y).sin());
+        if let Some(Value::Vec3Array(points)) =
+            &mut prim.attributes.get_mut("points").unwrap().value
+        {
+            points.push(Vec3::splat(9.0));
+        }
+        let prim = with_token(prim, "orientation", "leftHanded");
+        let prim = with_ints(prim, "holeIndices", &[3]);
+        let prim = sharp_edges(prim, &[6, 7, 7, 12], 10.0);
+        let corners: Vec<Vec2> = (0_u8..64)
+            .map(|i| Vec2::new(f32::from(i % 7), f32::from(i / 9)))
+            .collect();
+        let corners = Value::Vec2Array(corners);
+        let prim = with_attribute(prim, "primvars:st", corners, Some("faceVarying"));
+        let vertices = Value::FloatArray((0_u8..26).map(|i| f32::from(i * i % 11)).collect());
+        let prim = with_attribute(prim, "primvars:w", vertices, Some("vertex"));
+        let [cage, fine] = [0, 2].map(|level| refine_with(&prim, level, &["st", "w"]).0);
+        assert_eq!(cage.positions.len(), 26);
+        assert_eq!(cage.triangles.len(), 2 * 15);
+        assert_eq!(cage.positions[25], Vec3::splat(9.0));
+        for point in 0..26 {
+            assert!(
+                cage.positions[point].distance(fine.positions[point]) < 1e-5,
+                "{point}"
+            );
+            let normals = [&cage, &fine].map(|mesh| point_normals(mesh)[point]);
+            assert!(
+                normals[0].distance(normals[1]) < 1e-5,
+                "{point}: {normals:?}"
+            );
+            let values = [&cage, &fine].map(|mesh| mesh.primvar("w").unwrap().values[point]);
+            assert!(values[0].distance(values[1]) < 1e-5, "{point}: {values:?}");
+        }
+        let corner_normals = [&cage, &fine].map(|mesh| &mesh.cage.as_ref().unwrap().corner_normals);
+        assert_eq!(corner_normals[0].len(), 64);
+        for (corner, (a, b)) in corner_normals[0].iter().zip(corner_normals[1]).enumerate() {
+            assert!(a.distance(*b) < 1e-5, "corner {corner}: {a} {b}");
+        }
+        // Every corner of a face as itself has the limit of its seam-bounded patch, like the fine face in it.
+        let at_point = |mesh: &Mesh, face: u32, point: u32| {
+            let st = mesh.primvar("st").unwrap();
+            let faces = mesh.triangles.iter().zip(&mesh.triangle_faces).enumerate();
+            let mut of_face = faces.filter(|(_, (_, f))| **f == face);
+            of_face.find_map(|(t, (triangle, _))| {
+                let corner = triangle.iter().position(|&i| i == point)?;
+                let Interpolation::Corner(corners) = &st.interpolation else {
+                    return None;
+                };
+                Some(st.values[corners[t][corner] as usize])
+            })
+        };
+        for (face, first) in [(0, 0), (5, 6), (15, 18)] {
+            for point in [first, first + 1, first + 6, first + 5] {
+                let [a, b] = [&cage, &fine].map(|mesh| at_point(mesh, face, point).unwrap());
+                assert!(a.distance(b) < 1e-5, "face {face} point {point}: {a} {b}");
+            }
+        }
     }
 
     /// Limit tangents belong to the surface, not to the level they are taken at; and far down the facets themselves
