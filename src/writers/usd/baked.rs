@@ -10,9 +10,7 @@ use super::opinions::{Declaration, Opinions};
 use super::{Error, save};
 use crate::scene::{StageInfo, UpAxis};
 use openusd::gf;
-use openusd::sdf::{
-    FieldKey, Path as SdfPath, PathListOp, SpecType, TokenListOp, Value, Variability,
-};
+use openusd::sdf::{FieldKey, Path as SdfPath, PathListOp, SpecType, TokenListOp, Value};
 use openusd::tf::Token;
 use std::path::{Component, Path, PathBuf};
 
@@ -201,8 +199,6 @@ fn bind(layer: &mut Opinions, prim: &str, material: &SdfPath) -> Result<(), Erro
     ] {
         let binding = layer.property(&prim, name, SpecType::Relationship)?;
         let target = Value::PathListOp(PathListOp::explicit([material.clone()]));
-        let uniform = Value::Variability(Variability::Uniform);
-        layer.set(&binding, FieldKey::Variability, uniform);
         layer.set(&binding, FieldKey::TargetPaths, target);
         let stronger = Value::Token(Token::new("strongerThanDescendants"));
         layer.set(&binding, "bindMaterialAs", stronger);

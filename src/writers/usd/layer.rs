@@ -88,6 +88,9 @@ impl LayerWriter {
             for buffer in self.options.aovs.iter().map(buffer) {
                 let (type_name, value) = typed(buffer.aov, average(buffer, &spans));
                 let name = buffer.aov.name();
+                // ids do not move, so they are one value whatever the frames
+                let is_id = buffer.aov.value_type() == ValueType::Id;
+                let time = time.filter(|_| !is_id);
                 add_value(primvars, (name, type_name), &spans, (time, value));
             }
             if let Some(shown) = shown {

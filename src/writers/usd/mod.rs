@@ -5,6 +5,7 @@
 
 pub mod baked;
 pub mod cloud;
+mod corrections;
 pub mod layer;
 mod opinions;
 mod targets;
@@ -149,8 +150,15 @@ fn temporary_beside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
 const BUFFER: usize = 1 << 20;
 
 fn write_text(data: &sdf::Data, file: &mut File) -> anyhow::Result<()> {
+    let text = usda::TextWriter::write_to_string(data)?;
     let mut out = BufWriter::with_capacity(BUFFER, file);
-    usda::TextWriter::write(data, &mut out)?;
+    for line in text.lines() {
+        // openusd 0.6.0 leaves the brackets of a single schema out, which Pixar's parser does not
+        match line.trim_start().strip_prefix("prepend apiSchemas = \"") {
+            Some(schema) => writeln!(out, "prepend apiSchemas = [\"{schema}]")?,
+            None => writeln!(out, "{line}")?,
+        }
+    }
     Ok(out.flush()?)
 }
 
@@ -160,9 +168,11 @@ fn write_crate(data: &sdf::Data, file: &mut File) -> anyhow::Result<()> {
     /// The crate always says 0.12.0, which USD before 24.11 refuses; nothing written here needs more than 0.8.0
     /// (0.9 brought time code values, 0.10 path expressions, 0.11 relocates, 0.12 splines).
     const VERSION: [u8; 3] = [0, 8, 0];
-    let mut out = BufWriter::with_capacity(BUFFER, file);
+    let mut out = BufWriter::with_capacity(BUFFER, &mut *file);
     usdc::CrateWriter::write(data, &mut out)?;
-    out.seek(SeekFrom::Start(VERSION_OFFSET))?;
-    out.write_all(&VERSION)?;
-    Ok(out.flush()?)
+    out.flush()?;
+    drop(out);
+    file.seek(SeekFrom::Start(VERSION_OFFSET))?;
+    file.write_all(&VERSION)?;
+    corrections::correct(file)
 }

@@ -44,10 +44,11 @@ impl Opinions {
             prim: path.to_owned(),
             message,
         };
-        let path = Path::new(path).map_err(|error| invalid(error.to_string()))?;
-        if !path.is_abs() || path.is_abs_root() || path.is_property_path() {
+        let names = path.strip_prefix('/').unwrap_or_default().split('/');
+        if !names.into_iter().all(is_name) {
             return Err(invalid("it is not the path of a prim".to_owned()));
         }
+        let path = Path::new(path).map_err(|error| invalid(error.to_string()))?;
         self.ensure(&path);
         Ok(path)
     }
@@ -151,6 +152,13 @@ impl Opinions {
         }
         self.data
     }
+}
+
+/// True for what USD takes as a prim's name: letters of any script, digits and `_`, no digit first.
+/// (`Path::new` lets `I[3]` pass.)
+fn is_name(name: &str) -> bool {
+    let is_letter = |letter: char| letter.is_alphabetic() || letter == '_';
+    name.starts_with(is_letter) && name.chars().all(|c| is_letter(c) || c.is_alphanumeric())
 }
 
 #[cfg(test)]

@@ -1,0 +1,171 @@
+//! One USD layer, read without composition: what a cloud is made of.
+
+use glam::Vec3;
+use openusd::sdf::{AbstractData, Path, SpecType, Value};
+use openusd::{usda, usdc};
+use std::io::{BufReader, Read, Seek};
+
+/// Fields that bring in opinions from elsewhere.
+const ARCS: [&str; 5] = [
+    "references",
+    "payload",
+    "inheritPaths",
+    "specializes",
+    "variantSetNames",
+];
+
+/// An open layer.
+pub(super) struct File(Box<dyn AbstractData>);
+
+/// Values of one attribute of a `Points` prim.
+#[derive(Debug)]
+pub(super) enum Column {
+    /// Numbers.
+    Floats(Vec<f32>),
+    /// Vectors; a fourth component was dropped.
+    Vectors(Vec<Vec3>),
+    /// Whole numbers.
+    Ints(Vec<i32>),
+}
+
+impl File {
+    /// Open binary or text by content. The error is the parser's.
+    pub(super) fn open(mut file: std::fs::File) -> Result<Self, String> {
+        let mut start = [0_u8; 8];
+        let is_binary = file.read_exact(&mut start).is_ok() && &start == b"PXR-USDC";
+        file.rewind().map_err(|error| error.to_string())?;
+        if is_binary {
+            let data = usdc::CrateData::open(BufReader::new(file), true);
+            return Ok(Self(Box::new(data.map_err(|error| format!("{error:#}"))?)));
+        }
+        let mut text = String::new();
+        file.read_to_string(&mut text)
+            .map_err(|error| format!("neither binary nor text USD: {error}"))?;
+        let data = usda::parse(&text).map_err(|error| format!("{error:#}"))?;
+        Ok(Self(Box::new(data)))
+    }
+
+    /// Paths of all active `Points` prims, sorted.
+    pub(super) fn points(&self) -> Vec<Path> {
+        let mut paths = self.0.spec_paths();
+        paths.retain(|path| {
+            self.0.spec_type(path) == Some(SpecType::Prim)
+                && matches!(self.metadata(path, "typeName"), Some(Value::Token(t)) if t.as_str() == "Points")
+                && path.ancestors_below_root().all(|prim| {
+                    !matches!(self.metadata(&prim, "active"), Some(Value::Bool(false)))
+                })
+        });
+        paths
+    }
+
+    /// What in the layer points at other layers or prims, so that reading it alone would miss something.
+    pub(super) fn composes(&self) -> Option<String> {
+        let root = Path::abs_root();
+        if self.0.has_field(&root, "subLayers") {
+            return Some("it has sublayers".to_owned());
+        }
+        let paths = self.0.spec_paths().into_iter();
+        let mut arcs = paths.flat_map(|path| ARCS.map(|arc| (path.clone(), arc)));
+        arcs.find(|(path, arc)| self.0.has_field(path, arc))
+            .map(|(path, arc)| format!("{path} has {arc}"))
+    }
+
+    /// A field of a prim or property.
+    pub(super) fn metadata(&self, path: &Path, field: &str) -> Option<Value> {
+        self.0
+            .try_field(path, field)
+            .ok()
+            .flatten()
+            .map(|value| value.into_owned())
+    }
+
+    /// Default value of an attribute, else its first time sample; `None` if it has none or is blocked.
+    pub(super) fn value(&self, prim: &Path, name: &str) -> Result<Option<Value>, String> {
+        let path = prim
+            .append_property(name)
+            .map_err(|error| error.to_string())?;
+        let field = |field| {
+            let value = self.0.try_field(&path, field);
+            value.map_err(|error| format!("{path}: {error}"))
+        };
+        match field("default")?.map(|value| value.into_owned()) {
+            Some(Value::ValueBlock) => return Ok(None),
+            Some(value) => return Ok(Some(value)),
+            None => {}
+        }
+        let samples = field("timeSamples")?.map(|value| value.into_owned());
+        Ok(match samples {
+            Some(Value::TimeSamples(samples)) => samples.into_iter().next().map(|sample| sample.1),
+            _ => None,
+        })
+    }
+
+    /// Values of an attribute as a column, indices resolved; `None` if it has none.
+    pub(super) fn column(&self, prim: &Path, name: &str) -> Result<Option<Column>, String> {
+        let Some(value) = self.value(prim, name)? else {
+            return Ok(None);
+        };
+        let kind: &'static str = (&value).into();
+        let column = column(value).ok_or_else(|| {
+            format!("{prim}.{name} holds {kind}, not numbers of 1, 3 or 4 components")
+        })?;
+        if !name.starts_with("primvars:") {
+            return Ok(Some(column));
+        }
+        match self.value(prim, &format!("{name}:indices"))? {
+            Some(Value::IntVec(indices)) => {
+                Ok(Some(column.pick(&indices).ok_or_else(|| {
+                    format!("{prim}.{name}:indices has an index beyond the values")
+                })?))
+            }
+            _ => Ok(Some(column)),
+        }
+    }
+}
+
+impl Column {
+    fn pick(self, indices: &[i32]) -> Option<Self> {
+        Some(match self {
+            Self::Floats(values) => Self::Floats(picked(&values, indices)?),
+            Self::Vectors(values) => Self::Vectors(picked(&values, indices)?),
+            Self::Ints(values) => Self::Ints(picked(&values, indices)?),
+        })
+    }
+}
+
+fn picked<T: Copy>(values: &[T], indices: &[i32]) -> Option<Vec<T>> {
+    let at = |&index: &i32| values.get(usize::try_from(index).ok()?).copied();
+    indices.iter().map(at).collect()
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "doubles are kept in single precision"
+)]
+fn column(value: Value) -> Option<Column> {
+    let xyz = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+    Some(match value {
+        Value::Float(v) => Column::Floats(vec![v]),
+        Value::Double(v) => Column::Floats(vec![v as f32]),
+        Value::FloatVec(v) => Column::Floats(v),
+        Value::DoubleVec(v) => Column::Floats(v.iter().map(|&v| v as f32).collect()),
+        Value::HalfVec(v) => Column::Floats(v.iter().map(|&v| v.into()).collect()),
+        Value::IntVec(v) => Column::Ints(v),
+        Value::Vec3f(v) => Column::Vectors(vec![xyz(v.x, v.y, v.z)]),
+        Value::Vec3fVec(v) => Column::Vectors(bytemuck::cast_vec(v)),
+        Value::Vec3dVec(v) => {
+            let vectors = v.iter().map(|v| xyz(v.x as f32, v.y as f32, v.z as f32));
+            Column::Vectors(vectors.collect())
+        }
+        Value::Vec3hVec(v) => {
+            let vectors = v.iter().map(|v| xyz(v.x.into(), v.y.into(), v.z.into()));
+            Column::Vectors(vectors.collect())
+        }
+        Value::Vec4fVec(v) => Column::Vectors(v.iter().map(|v| xyz(v.x, v.y, v.z)).collect()),
+        Value::Vec4hVec(v) => {
+            let vectors = v.iter().map(|v| xyz(v.x.into(), v.y.into(), v.z.into()));
+            Column::Vectors(vectors.collect())
+        }
+        _ => return None,
+    })
+}
