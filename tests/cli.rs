@@ -1,55 +1,14 @@
 //! End to end: a stage in, files out; exit codes and messages of bad input.
 
+#[allow(dead_code, reason = "every test file uses some of the helpers")]
+#[path = "support/program.rs"]
+mod program;
+
+use program::{ROOM, files, json, run, stage, stderr, surflux};
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::path::Path;
+use std::process::{Command, Stdio};
 use std::time::Duration;
-
-const ROOM: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/room.usda");
-
-fn surflux() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_surflux"));
-    command
-        .env_remove("SURFLUX_USD")
-        .env_remove("SURFLUX_THREADS");
-    command
-}
-
-fn run(args: &[&str]) -> Output {
-    surflux().args(args).output().expect("the program starts")
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
-fn json(output: &Output) -> serde_json::Value {
-    assert!(output.status.success(), "{}", stderr(output));
-    serde_json::from_slice(&output.stdout).expect("stdout is JSON")
-}
-
-/// A stage file with `text` in a folder of its own.
-fn stage(text: &str) -> (tempfile::TempDir, PathBuf) {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let path = folder.path().join("stage.usda");
-    fs::write(&path, text).expect("writable");
-    (folder, path)
-}
-
-fn files(folder: &Path) -> Vec<String> {
-    let mut names: Vec<String> = fs::read_dir(folder)
-        .expect("readable")
-        .map(|entry| {
-            entry
-                .expect("entry")
-                .file_name()
-                .to_string_lossy()
-                .into_owned()
-        })
-        .collect();
-    names.sort();
-    names
-}
 
 /// Runs a bake of `text` that must fail: exit code 1, every word in the message, nothing written.
 fn must_fail(text: &str, words: &[&str]) {

@@ -35,7 +35,8 @@ impl Files {
     }
 
     fn open(&self, name: &str) -> WorkerSource {
-        WorkerSource::open_with(&python(), &self.path(name)).expect("the stage opens")
+        WorkerSource::open_with(&python(), &self.path(name), &Diagnostics::default())
+            .expect("the stage opens")
     }
 
     fn load(&self, name: &str, request: &Request) -> (RawStage, Diagnostics) {
@@ -506,12 +507,16 @@ fn missing_layers_are_warned_of_once_each() {
 fn files_that_are_missing_or_broken_are_told_apart() {
     let files = Files::new(&[("broken.usda", "def \"p\" { float a = \n}\n")]);
     let open = |name: &str| {
-        WorkerSource::open_with(&python(), &files.path(name))
+        WorkerSource::open_with(&python(), &files.path(name), &Diagnostics::default())
             .expect_err("no stage")
             .to_string()
     };
     assert!(matches!(
-        WorkerSource::open_with(&python(), &files.path("absent.usda")),
+        WorkerSource::open_with(
+            &python(),
+            &files.path("absent.usda"),
+            &Diagnostics::default()
+        ),
         Err(Error::Unreadable { .. })
     ));
     let broken = open("broken.usda");
@@ -526,8 +531,12 @@ fn files_that_are_missing_or_broken_are_told_apart() {
     );
     let bytes = fs::read(&whole).expect("written");
     fs::write(files.path("truncated.usdc"), &bytes[..bytes.len() / 2]).expect("written");
-    let error =
-        WorkerSource::open_with(&python(), &files.path("truncated.usdc")).expect_err("no stage");
+    let error = WorkerSource::open_with(
+        &python(),
+        &files.path("truncated.usdc"),
+        &Diagnostics::default(),
+    )
+    .expect_err("no stage");
     assert!(
         matches!(&error, Error::Layer { message, .. } if !message.is_empty()),
         "{error}"
@@ -565,7 +574,8 @@ fn interpreters_that_cannot_do_it_are_named_with_a_remedy() {
     ] {
         let start = Instant::now();
         let error =
-            WorkerSource::open_with(&interpreter, &files.path("s.usda")).expect_err("no worker");
+            WorkerSource::open_with(&interpreter, &files.path("s.usda"), &Diagnostics::default())
+                .expect_err("no worker");
         assert!(matches!(error, Error::Worker { .. }));
         let text = error.to_string();
         assert!(
@@ -629,7 +639,8 @@ fn endless(files: &Files) -> PathBuf {
 #[test]
 fn cancelling_ends_a_worker_in_the_middle_of_its_work() {
     let files = Files::new(&[]);
-    let mut source = WorkerSource::open_with(&python(), &endless(&files)).expect("opens");
+    let mut source = WorkerSource::open_with(&python(), &endless(&files), &Diagnostics::default())
+        .expect("opens");
     let pid = source.process_id();
     let token = CancelToken::default();
     let diagnostics = Diagnostics::new(Box::new(Silent), token.clone());
@@ -653,7 +664,8 @@ fn cancelling_ends_a_worker_in_the_middle_of_its_work() {
 #[test]
 fn a_worker_killed_half_way_fails_the_load_at_once() {
     let files = Files::new(&[]);
-    let mut source = WorkerSource::open_with(&python(), &endless(&files)).expect("opens");
+    let mut source = WorkerSource::open_with(&python(), &endless(&files), &Diagnostics::default())
+        .expect("opens");
     let pid = source.process_id();
     let killer = std::thread::spawn(move || {
         std::thread::sleep(Duration::from_millis(300));

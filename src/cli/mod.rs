@@ -26,6 +26,7 @@ const USAGE: u8 = 2;
 
 /// Run the program with the process's own arguments.
 pub fn main() -> ExitCode {
+    quiet_reader();
     let command_line: Vec<String> = std::env::args().collect();
     let cli = Cli::parse();
     let stage = cli.command.stage().clone_settings();
@@ -47,6 +48,19 @@ pub fn main() -> ExitCode {
             ExitCode::from(FAILED)
         }
     }
+}
+
+/// The native reader turns panics of the `openusd` crate into errors: nobody should see them twice.
+fn quiet_reader() {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let thread = std::thread::current();
+        if thread.name() == Some(crate::stage::native::THREAD_NAME) {
+            log::debug!("{panic}");
+        } else {
+            usual(panic);
+        }
+    }));
 }
 
 /// Settings of the run itself, apart from its job.

@@ -87,6 +87,8 @@ pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
         Job::Render(job) => render::run(job, diagnostics)?,
         Job::Info(stage) => Report::new(&stage.command),
     };
+    // Who interrupts the last write is not told of a success; its file is complete.
+    diagnostics.check()?;
     report.seconds.total = start.elapsed().as_secs_f64();
 
     report.warnings = diagnostics.warnings();

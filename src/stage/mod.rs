@@ -91,15 +91,14 @@ pub trait Source: std::fmt::Debug {
 pub fn open(path: &Path, door: Door, diagnostics: &Diagnostics) -> Result<Box<dyn Source>, Error> {
     match door {
         Door::Native => Ok(Box::new(native::NativeSource::open(path)?)),
-        Door::UsdCore => Ok(Box::new(worker::WorkerSource::open(path)?)),
+        Door::UsdCore => Ok(Box::new(worker::WorkerSource::open(path, diagnostics)?)),
         Door::Auto => match worker::WorkerSource::available() {
-            true => Ok(Box::new(worker::WorkerSource::open(path)?)),
+            true => Ok(Box::new(worker::WorkerSource::open(path, diagnostics)?)),
             false => {
                 log::info!(
                     "no Python with usd-core found: reading {} natively",
                     path.display()
                 );
-                let _ = diagnostics;
                 Ok(Box::new(native::NativeSource::open(path)?))
             }
         },

@@ -28,6 +28,9 @@ use std::thread;
 /// What to try when this door cannot read a stage; ends every refusal.
 const OTHER_DOOR: &str = "`--usd usd-core` may read it";
 
+/// Name of the thread that holds the stage.
+pub const THREAD_NAME: &str = "openusd";
+
 /// Stack of the thread that holds the stage, bytes: the crate recurses with the depth of prims and arcs. It is
 /// reserved address space, touched only as far as it is used.
 const STACK_BYTES: usize = 1 << 30;
@@ -63,7 +66,7 @@ impl NativeSource {
         let (jobs, orders) = mpsc::channel();
         let root = path.to_owned();
         thread::Builder::new()
-            .name("openusd".to_owned())
+            .name(THREAD_NAME.to_owned())
             .stack_size(STACK_BYTES)
             .spawn(move || serve(&root, &orders))
             .map_err(|source| Error::Unreadable {

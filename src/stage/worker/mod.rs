@@ -49,37 +49,31 @@ impl WorkerSource {
     /// the population mask.
     ///
     /// # Errors
-    /// When no interpreter can import `pxr`, or the root layer is missing or cannot be parsed.
-    pub fn open(path: &Path) -> Result<Self, Error> {
-        Self::open_with(&interpreter::find(), path)
+    /// When no interpreter can import `pxr`, or the root layer is missing or cannot be parsed; cancellation.
+    pub fn open(path: &Path, diagnostics: &Diagnostics) -> Result<Self, Error> {
+        Self::open_with(&interpreter::find(), path, diagnostics)
     }
 
     /// [`Self::open`] with the Python at `interpreter`.
     ///
     /// # Errors
     /// See [`Self::open`].
-    pub fn open_with(interpreter: &Path, path: &Path) -> Result<Self, Error> {
+    pub fn open_with(
+        interpreter: &Path,
+        path: &Path,
+        diagnostics: &Diagnostics,
+    ) -> Result<Self, Error> {
         check_readable(path)?;
-        let failed = |message: String| Error::Worker {
-            interpreter: interpreter.display().to_string(),
-            message: format!("{message}; {REMEDY}"),
-        };
-        let quiet = Diagnostics::default();
-        let mut process = Process::start(interpreter).map_err(|failure| failed(words(failure)))?;
-        let hello: serde_json::Value = process
-            .wait(Some(START_LIMIT), &quiet)
-            .map_err(|failure| failed(words(failure)))?;
-        log::debug!("worker {}: {hello}", interpreter.display());
-        let scratch = scratch_folders().map_err(|error| failed(error.to_string()))?;
+        let scratch = scratch_folders().map_err(|error| unable(interpreter, error.to_string()))?;
         let mut source = Self {
             path: path.to_owned(),
             interpreter: interpreter.to_owned(),
-            process,
+            process: started(interpreter, diagnostics)?,
             scratch,
         };
         let folders: Vec<_> = source.scratch.iter().map(TempDir::path).collect();
         let request = json!({"open": path, "scratch": folders});
-        let opened: Result<serde_json::Value, Failure> = source.process.ask(&request, &quiet);
+        let opened: Result<serde_json::Value, Failure> = source.process.ask(&request, diagnostics);
         match opened {
             Ok(_) => Ok(source),
             Err(failure) => Err(source.error(failure)),
@@ -148,6 +142,28 @@ impl Source for WorkerSource {
     }
 }
 
+/// A worker that has imported USD and waits for requests.
+fn started(interpreter: &Path, diagnostics: &Diagnostics) -> Result<Process, Error> {
+    let failed = |failure| match failure {
+        Failure::Worker(message) | Failure::Refused(message) => unable(interpreter, message),
+        Failure::Cancelled(cancelled) => cancelled.into(),
+    };
+    let mut process = Process::start(interpreter).map_err(failed)?;
+    let hello: serde_json::Value = process
+        .wait(Some(START_LIMIT), diagnostics)
+        .map_err(failed)?;
+    log::debug!("worker {}: {hello}", interpreter.display());
+    Ok(process)
+}
+
+/// The error for a worker that never came to work.
+fn unable(interpreter: &Path, message: String) -> Error {
+    Error::Worker {
+        interpreter: interpreter.display().to_string(),
+        message: format!("{message}; {REMEDY}"),
+    }
+}
+
 /// A path that the operating system knows must be readable; others (resolver URIs, files in packages) are USD's business.
 fn check_readable(path: &Path) -> Result<(), Error> {
     let text = path.to_string_lossy();
@@ -173,13 +189,6 @@ fn scratch_folders() -> std::io::Result<Vec<TempDir>> {
     let mut folders: Vec<TempDir> = new(Path::new("/dev/shm")).into_iter().collect();
     folders.push(new(&std::env::temp_dir())?);
     Ok(folders)
-}
-
-fn words(failure: Failure) -> String {
-    match failure {
-        Failure::Worker(message) | Failure::Refused(message) => message,
-        Failure::Cancelled(cancelled) => cancelled.to_string(),
-    }
 }
 
 /// A warning of USD split into the prim it is about (empty if it names none) and its text on one line, without the

@@ -1,0 +1,214 @@
+//! Bakes and a render of the reference scenes against their reference values, at the bounds that the project promises.
+//!
+//! The scenes and values lie outside the repository, in `truth/` of the folder that `SURFLUX_SHARED` names, else
+//! `../shared`; without them these tests say that they are skipped.
+
+#[path = "support/python.rs"]
+mod python;
+
+#[allow(dead_code, reason = "every test file uses some of the helpers")]
+#[path = "support/program.rs"]
+mod program;
+
+use program::{json, surflux};
+use python::{python, run_python};
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use tempfile::TempDir;
+
+/// The folder of reference scenes, values and scripts, if it is there.
+fn truth() -> Option<PathBuf> {
+    let shared = std::env::var_os("SURFLUX_SHARED").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
+        PathBuf::from,
+    );
+    let folder = shared.join("truth");
+    let found = folder.join("values").is_dir();
+    if !found {
+        println!(
+            "skipped: there are no reference values in {}",
+            folder.display()
+        );
+    }
+    found.then_some(folder)
+}
+
+/// A baked scene, as a stage that shows it.
+struct Baked {
+    truth: PathBuf,
+    _folder: TempDir,
+    stage: PathBuf,
+}
+
+impl Baked {
+    fn new(truth: &Path, scene: &str, options: &[&str]) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let result = surflux()
+            .arg("bake")
+            .arg(truth.join("scenes").join(scene))
+            .arg("-o")
+            .arg(folder.path().join("out.usdc"))
+            .args(["--usd", "native", "--json", "--quiet"])
+            .args(options)
+            .output()
+            .expect("the program starts");
+        let report = json(&result);
+        println!(
+            "{scene} {options:?}: {} {}",
+            report["seconds"], report["error"]["aovs"]
+        );
+        Self {
+            truth: truth.to_owned(),
+            stage: folder.path().join("out_baked.usda"),
+            _folder: folder,
+        }
+    }
+
+    /// Relative RMSE of `primvar` against `quantity` of `values`, at most `bound`.
+    fn check(&self, values: &str, quantity: &str, primvar: &str, bound: f64) {
+        let mut command = Command::new(python());
+        command
+            .arg(self.truth.join("scripts/compare.py"))
+            .arg(self.truth.join("values").join(values))
+            .arg(&self.stage)
+            .args(["--quantity", quantity, "--primvar", primvar]);
+        if quantity == "ao_vis" {
+            command.arg("--invert");
+        }
+        let compared = json(&command.output().expect("Python starts"));
+        let total = &compared["total"];
+        println!("  {values} {quantity}: {total}");
+        assert_eq!(total["nonfinite"], 0);
+        let error = total["relRMSE"].as_f64().expect("a number");
+        assert!(
+            error <= bound,
+            "{values} {quantity}: {error}, bound {bound}"
+        );
+    }
+}
+
+#[test]
+fn rays_in_the_cornell_box() {
+    let Some(truth) = truth() else { return };
+    let aovs = "occlusion,irradiance_direct,irradiance_indirect";
+    let options = ["--gather", "rays", "--aov", aovs];
+    let baked = Baked::new(&truth, "cornell_spheres.usdc", &options);
+    let values = "cornell_spheres.npz";
+    baked.check(values, "ao_vis", "occlusion", 0.02);
+    baked.check(values, "e_direct", "irradiance_direct", 0.015);
+    baked.check(values, "e_ind1", "irradiance_indirect", 0.02);
+}
+
+#[test]
+fn the_papers_engine_in_the_cornell_box() {
+    let Some(truth) = truth() else { return };
+    let options = [
+        "--gather",
+        "paper",
+        "--aov",
+        "occlusion,irradiance_indirect",
+    ];
+    let baked = Baked::new(&truth, "cornell_spheres.usdc", &options);
+    baked.check("cornell_spheres.npz", "ao_vis", "occlusion", 0.08);
+    baked.check("cornell_spheres.npz", "e_ind1", "irradiance_indirect", 0.05);
+}
+
+#[test]
+fn a_furnace_of_twelve_bounces_holds_a_geometric_series() {
+    let Some(truth) = truth() else { return };
+    let options = ["--bounces", "12", "--aov", "irradiance"];
+    let baked = Baked::new(&truth, "furnace_box.usda", &options);
+    // Emission 1, albedo 0.6: bounce k brings π · 0.6^k.
+    let script = "import sys
+import numpy as np
+from pxr import Usd, UsdGeom
+want = np.pi * sum(0.6**k for k in range(13))
+worst = 0
+for prim in Usd.Stage.Open(sys.argv[1]).Traverse():
+    values = UsdGeom.PrimvarsAPI(prim).GetPrimvar('irradiance')
+    if values and values.HasValue():
+        worst = max(worst, np.abs(np.array(values.Get()) / want - 1).max())
+print(worst)";
+    let worst: f64 = run_python(script, &[&baked.stage])
+        .trim()
+        .parse()
+        .expect("a number");
+    println!("  furnace: {worst}");
+    assert!(worst > 0.0 && worst <= 0.01, "{worst}");
+}
+
+#[test]
+fn light_of_emitting_surfaces_is_exact() {
+    let Some(truth) = truth() else { return };
+    for (scene, values) in [
+        ("wedge90.usdc", "analytic_wedge90.npz"),
+        ("perp_squares.usda", "analytic_perp_squares.npz"),
+        ("disk_plane.usdc", "analytic_disk_plane.npz"),
+    ] {
+        let baked = Baked::new(&truth, scene, &["--aov", "irradiance_direct"]);
+        baked.check(values, "e_direct", "irradiance_direct", 0.01);
+    }
+}
+
+#[test]
+fn a_sphere_alone_in_the_sky_is_open_and_lit_by_pi() {
+    let Some(truth) = truth() else { return };
+    let aovs = "occlusion,irradiance_environment";
+    let baked = Baked::new(&truth, "env_sphere.usdc", &["--aov", aovs]);
+    baked.check("analytic_env_sphere.npz", "ao_vis", "occlusion", 0.01);
+    baked.check(
+        "analytic_env_sphere.npz",
+        "e_env",
+        "irradiance_environment",
+        0.01,
+    );
+}
+
+/// Compares an image of fewer pixels with block means of the truth, where every pixel of a block shows a surface: the
+/// truth's camera sees the lamp, ours does not.
+const COMPARE_IMAGE: &str = "import sys, json
+import numpy as np
+import OpenEXR
+def read(path):
+    channels = OpenEXR.File(path, separate_channels=True).channels()
+    return {name: np.asarray(channel.pixels, float) for name, channel in channels.items()}
+def blocks(image):
+    size = len(image) // 64
+    return image.reshape(64, size, 64, size, -1).mean((1, 3))
+truth, render = read(sys.argv[1]), read(sys.argv[2])
+seen = blocks(render['A'])[..., 0] > 0.9999
+errors = {'blocks': int(seen.sum())}
+for ours, layer in (('diffuse_direct', 'direct'), ('diffuse_indirect', 'ind1')):
+    want, got = (blocks(np.stack([image[f'{name}.{c}'] for c in 'RGB'], -1))[seen]
+                 for image, name in ((truth, layer), (render, ours)))
+    errors[layer] = np.sqrt(((got - want) ** 2).mean()) / want.mean()
+print(json.dumps(errors))";
+
+#[test]
+fn a_camera_sees_the_light_of_the_reference_image() {
+    let Some(truth) = truth() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let image = folder.path().join("out.exr");
+    let result = surflux()
+        .arg("render")
+        .arg(truth.join("scenes/cornell_spheres.usdc"))
+        .arg("-o")
+        .arg(&image)
+        .args(["--usd", "native", "--json", "--quiet"])
+        .args(["--camera", "/World/cam", "--image-width", "128"])
+        .args(["--pixel-samples", "4", "--rays", "512"])
+        .args(["--aov", "color,diffuse_direct,diffuse_indirect"])
+        .output()
+        .expect("the program starts");
+    println!("image: {}", json(&result)["seconds"]);
+    let values = truth.join("values/cornell_spheres.image.exr");
+    let paths: [OsString; 2] = [values.into(), image.into()];
+    let compared = run_python(COMPARE_IMAGE, &paths);
+    println!("  {compared}");
+    let errors: serde_json::Value = serde_json::from_str(&compared).expect("JSON");
+    let error = |name: &str| errors[name].as_f64().expect("a number");
+    assert!(error("blocks") > 3000.0, "{compared}");
+    assert!(error("direct") <= 0.02, "{compared}");
+    assert!(error("ind1") <= 0.03, "{compared}");
+}
