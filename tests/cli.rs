@@ -16,9 +16,9 @@ fn must_fail(text: &str, words: &[&str]) {
     let output = folder.path().join("out.usdc");
     let result = run(&[
         "bake",
-        path.to_str().unwrap(),
+        path.to_str().expect("UTF-8"),
         "-o",
-        output.to_str().unwrap(),
+        output.to_str().expect("UTF-8"),
         "--usd",
         "native",
     ]);

@@ -3,6 +3,9 @@
 //! Stages are those of the shared assets (skipped with a note where they are missing) and small ones written here for
 //! what the assets have not. `cargo test --test doors -- --nocapture` prints the table.
 
+#![expect(clippy::print_stdout, reason = "the table is for people")]
+
+#[allow(dead_code, reason = "every test file uses some of the helpers")]
 #[path = "support/python.rs"]
 mod python;
 
@@ -151,7 +154,7 @@ fn read_both(path: &Path, settings: &ReadSettings) -> Outcome {
         stage::read(source?.as_mut(), settings, &Diagnostics::default())
     };
     let native = NativeSource::open(path).map(|source| Box::new(source) as Box<dyn Source>);
-    let worker = WorkerSource::open_with(&python(), path);
+    let worker = WorkerSource::open_with(&python(), path, &Diagnostics::default());
     let worker = worker.map(|source| Box::new(source) as Box<dyn Source>);
     match (read(native), read(worker)) {
         (Ok(native), Ok(core)) => {
@@ -567,6 +570,7 @@ def Xform "W" ( prepend apiSchemas = ["CollectionAPI:bound", "MaterialBindingAPI
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one stage that holds one of each")]
 fn lights_cameras_and_render_settings() {
     let text = r#"
 (

@@ -43,7 +43,7 @@ pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Er
                 let writer = writer
                     .get_or_insert_with(|| LayerWriter::new(&world.scene().stage, options(job)));
                 timed(&mut report.seconds.write, || {
-                    writer.add((world.scene(), spans), &results, time, diagnostics)
+                    writer.add((world.scene(), spans), &results, time, diagnostics);
                 });
                 Ok(())
             },

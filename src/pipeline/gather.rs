@@ -16,14 +16,14 @@ use crate::octree::Octree;
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use crate::stage::cloud;
-use crate::surfels::{DiceMap, SurfelCloud};
+use crate::surfels::SurfelCloud;
 
 /// The surfels that shine.
 enum Light {
     /// Nobody asks for reflected light.
     None,
     /// Diced from the scene.
-    Baked { cloud: SurfelCloud, dice: DiceMap },
+    Baked(Box<Baked>),
     /// Read from files.
     Loaded(Vec<SurfelCloud>),
 }
@@ -32,7 +32,7 @@ impl Light {
     fn len(&self) -> usize {
         match self {
             Self::None => 0,
-            Self::Baked { cloud, .. } => cloud.len(),
+            Self::Baked(baked) => baked.cloud.len(),
             Self::Loaded(clouds) => clouds.iter().map(SurfelCloud::len).sum(),
         }
     }
@@ -40,7 +40,10 @@ impl Light {
     fn source(&self, world: &World<'_>) -> Option<RadianceSource<'_>> {
         match self {
             Self::None => None,
-            Self::Baked { cloud, dice } => Some(RadianceSource::Baked { cloud, dice }),
+            Self::Baked(baked) => Some(RadianceSource::Baked {
+                cloud: &baked.cloud,
+                dice: &baked.dice,
+            }),
             Self::Loaded(clouds) => Some(RadianceSource::Loaded(
                 clouds
                     .iter()
@@ -124,7 +127,7 @@ const PAPER_REFERENCE_COST: u32 = 4;
 fn whole_cloud(light: &Light) -> SurfelCloud {
     match light {
         Light::None => SurfelCloud::default(),
-        Light::Baked { cloud, .. } => cloud.clone(),
+        Light::Baked(baked) => baked.cloud.clone(),
         Light::Loaded(clouds) => SurfelCloud::joined(clouds),
     }
 }
@@ -193,16 +196,10 @@ fn light(
     let baked = dice(world, &settings, (&mut *report, diagnostics))?;
     report.set("spacing", f64::from(baked.cloud.spacing));
     if job.bounces <= 1 {
-        return Ok(Light::Baked {
-            cloud: baked.cloud,
-            dice: baked.dice,
-        });
+        return Ok(Light::Baked(Box::new(baked)));
     }
     let cloud = bounced(world, &baked, job, (report, diagnostics))?;
-    Ok(Light::Baked {
-        cloud,
-        dice: baked.dice,
-    })
+    Ok(Light::Baked(Box::new(Baked { cloud, ..baked })))
 }
 
 /// Dice and light the world.

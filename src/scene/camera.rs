@@ -12,7 +12,7 @@ pub enum Projection {
     Orthographic,
 }
 
-/// A UsdGeomCamera, looking along its −Z, +Y up.
+/// A `UsdGeomCamera`, looking along its −Z, +Y up.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Camera {
     /// Stage path; empty for the automatic framing camera.

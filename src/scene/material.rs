@@ -81,7 +81,7 @@ pub struct TextureRead {
 pub enum Input {
     /// The same everywhere.
     Constant(Vec4),
-    /// UsdPrimvarReader: the primvar called `name`, else `fallback`.
+    /// `UsdPrimvarReader`: the primvar called `name`, else `fallback`.
     Primvar {
         /// Primvar name.
         name: String,

@@ -33,82 +33,85 @@ const OLD_LIGHT_INPUTS: [&str; 10] = [
     "texture:*",
 ];
 
+/// Attributes that geometry, cameras and render settings are made of: wanted by every job.
+const ALWAYS: &[&str] = &[
+    // Imageable, Xformable
+    "visibility",
+    "purpose",
+    "xformOpOrder",
+    "xformOp:*",
+    "extent",
+    // Mesh and other PointBased
+    "points",
+    "normals",
+    "faceVertexCounts",
+    "faceVertexIndices",
+    "holeIndices",
+    "orientation",
+    "doubleSided",
+    "subdivisionScheme",
+    "interpolateBoundary",
+    "faceVaryingLinearInterpolation",
+    "triangleSubdivisionRule",
+    "cornerIndices",
+    "cornerSharpnesses",
+    "creaseIndices",
+    "creaseLengths",
+    "creaseSharpnesses",
+    "primvars:normals",
+    // implicit gprims
+    "size",
+    "radius",
+    "radiusTop",
+    "radiusBottom",
+    "height",
+    "axis",
+    "width",
+    "length",
+    // PointInstancer
+    "protoIndices",
+    "positions",
+    "orientations",
+    "orientationsf",
+    "scales",
+    "ids",
+    "invisibleIds",
+    // Camera
+    "projection",
+    "horizontalAperture",
+    "verticalAperture",
+    "horizontalApertureOffset",
+    "verticalApertureOffset",
+    "focalLength",
+    "clippingRange",
+    "exposure",
+    // UsdRender
+    "resolution",
+    "pixelAspectRatio",
+    "aspectRatioConformPolicy",
+    "dataWindowNDC",
+    "includedPurposes",
+    "materialBindingPurposes",
+    "productName",
+    "productType",
+    "sourceName",
+    "sourceType",
+    "dataType",
+    "driver:parameters:aov:*",
+    // GeomSubset
+    "elementType",
+    "familyName",
+    "indices",
+    "subsetFamily:*",
+    // GeomModelAPI
+    "model:drawMode",
+    "model:applyDrawMode",
+];
+
 impl Request {
     /// The attributes that `settings` can make use of.
     pub fn for_settings(settings: &ReadSettings) -> Self {
-        let mut attributes: Vec<&str> = vec![
-            // Imageable, Xformable
-            "visibility",
-            "purpose",
-            "xformOpOrder",
-            "xformOp:*",
-            "extent",
-            // Mesh and other PointBased
-            "points",
-            "normals",
-            "faceVertexCounts",
-            "faceVertexIndices",
-            "holeIndices",
-            "orientation",
-            "doubleSided",
-            "subdivisionScheme",
-            "interpolateBoundary",
-            "faceVaryingLinearInterpolation",
-            "triangleSubdivisionRule",
-            "cornerIndices",
-            "cornerSharpnesses",
-            "creaseIndices",
-            "creaseLengths",
-            "creaseSharpnesses",
-            "primvars:normals",
-            // implicit gprims
-            "size",
-            "radius",
-            "radiusTop",
-            "radiusBottom",
-            "height",
-            "axis",
-            "width",
-            "length",
-            // PointInstancer
-            "protoIndices",
-            "positions",
-            "orientations",
-            "orientationsf",
-            "scales",
-            "ids",
-            "invisibleIds",
-            // Camera
-            "projection",
-            "horizontalAperture",
-            "verticalAperture",
-            "horizontalApertureOffset",
-            "verticalApertureOffset",
-            "focalLength",
-            "clippingRange",
-            "exposure",
-            // UsdRender
-            "resolution",
-            "pixelAspectRatio",
-            "aspectRatioConformPolicy",
-            "dataWindowNDC",
-            "includedPurposes",
-            "materialBindingPurposes",
-            "productName",
-            "productType",
-            "sourceName",
-            "sourceType",
-            "dataType",
-            "driver:parameters:aov:*",
-            // GeomSubset
-            "elementType",
-            "familyName",
-            "indices",
-            "subsetFamily:*",
-            // GeomModelAPI
-            "model:drawMode",
-            "model:applyDrawMode",
-        ];
+        let mut attributes = ALWAYS.to_vec();
         if settings.materials {
             attributes.extend([
                 "inputs:*",

@@ -52,6 +52,9 @@ impl SurfelCloud {
 
     /// All surfels of `clouds`, which share one origin, as one cloud; prims are renumbered in the clouds' order.
     /// The spacing is that of the finest.
+    ///
+    /// # Panics
+    /// With more than 2³² prims in all.
     pub fn joined(clouds: &[Self]) -> Self {
         let mut all = clouds
             .first()
