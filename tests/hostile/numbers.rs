@@ -86,12 +86,16 @@ def Scope "Looks"
 
     /// Bake through both doors.
     fn bake(&self, what: &str, check: impl Fn(Trial)) {
-        DOORS.map(|door| check(bake(door, what, &self.text())));
+        for door in DOORS {
+            check(bake(door, what, &self.text()));
+        }
     }
 
     /// Render through both doors.
     fn render(&self, what: &str, check: impl Fn(Trial)) {
-        DOORS.map(|door| check(render(door, what, &self.text())));
+        for door in DOORS {
+            check(render(door, what, &self.text()));
+        }
     }
 }
 
@@ -168,8 +172,8 @@ fn primvars_and_normals_of_wrong_length_or_without_numbers_are_warned_of() {
 }
 
 #[test]
-fn transforms_that_are_not_finite_or_flat_leave_the_prim_out_with_a_warning() {
-    for scale in ["nan,1,1", "inf,1,1", "0,0,0", "1e200,1e200,1e200"] {
+fn transforms_that_are_not_finite_leave_the_prim_out_with_a_warning() {
+    for scale in ["nan,1,1", "inf,1,1", "1e200,1e200,1e200"] {
         let mesh = format!(
             "double3 xformOp:scale = ({scale})\nuniform token[] xformOpOrder = [\"xformOp:scale\"]"
         )
@@ -216,7 +220,9 @@ fn materials_without_numbers_use_defaults_with_a_warning() {
 
 #[test]
 fn a_shader_network_that_runs_in_circles_is_no_endless_loop() {
-    DOORS.map(|door| bake(door, "circle", &circle()));
+    for door in DOORS {
+        bake(door, "circle", &circle()).warned(&[]);
+    }
 }
 
 /// Two shaders that feed on each other.
@@ -358,17 +364,21 @@ fn a_stage_with_nothing_but_an_empty_mesh_is_refused() {
     stage.bake("empty mesh", |trial| {
         trial.refused(&["no visible surface", "/quad"]);
     });
-    DOORS.map(|door| bake(door, "empty stage", "#usda 1.0\n").refused(&["no visible surface"]));
+    for door in DOORS {
+        bake(door, "empty stage", "#usda 1.0\n").refused(&["no visible surface"]);
+    }
 }
 
 #[test]
-fn units_without_sense_are_no_trouble() {
+fn units_without_sense_are_warned_of() {
     for units in [
         "metersPerUnit = nan",
         "metersPerUnit = 0",
         "metersPerUnit = -1",
     ] {
         let text = PLAIN.text().replace("metersPerUnit = 1", units);
-        DOORS.map(|door| bake(door, units, &text));
+        for door in DOORS {
+            bake(door, units, &text).warned(&["metersPerUnit"]);
+        }
     }
 }
