@@ -3,6 +3,11 @@
 //!
 //! The comparisons need a Python with usd-core in `SURFLUX_TEST_PYTHON` and are skipped without it.
 
+#![expect(
+    clippy::print_stdout,
+    reason = "skipped tests say so, comparisons say how much they compared"
+)]
+
 use serde_json::{Value as Json, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -125,85 +130,55 @@ impl Tally {
         }
     }
 
+    /// `pairs`: key in the truth, and what we have for it.
+    fn all(&mut self, name: &str, truth: &Json, pairs: &[(&str, Json)]) {
+        for (key, ours) in pairs {
+            self.fact(&format!("{name} {key}"), ours, &truth[key]);
+        }
+    }
+
     fn stage(&mut self, case: &Case, ours: &RawStage, truth: &Json) {
         self.stages += 1;
-        let name = case
-            .path
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
-        let time = case.time.map_or(String::new(), |time| format!("@{time}"));
-        let name = format!("{name}{time}");
-        let truth_text = renamed(&truth["prims"].to_string(), &prototype_names(truth));
-        let truth_prims: Vec<Json> =
-            serde_json::from_str(&truth_text).expect("renaming keeps JSON");
-        let names: Vec<&str> = ours.prims[ours.prototype_start..]
-            .iter()
-            .filter(|prim| prim.parent.is_none())
-            .map(|prim| prim.path.as_str())
-            .collect();
-        let ours_paths: Vec<String> = ours
+        let file = case.path.file_name().unwrap_or_default().to_string_lossy();
+        let name = format!(
+            "{file}{}",
+            case.time.map_or(String::new(), |time| format!("@{time}"))
+        );
+        let text = renamed(&truth["prims"].to_string(), &prototype_names(truth));
+        let theirs: Vec<Json> = serde_json::from_str(&text).expect("renaming keeps JSON");
+        let look = Look {
+            stage: ours,
+            names: our_prototypes(ours),
+            timed: case.time.is_some(),
+        };
+        let paths: Vec<String> = ours
             .prims
             .iter()
-            .map(|prim| renamed(&prim.path, &names))
+            .map(|prim| look.named(&prim.path))
             .collect();
-        let truth_paths: Vec<&str> = truth_prims
+        let their_paths: Vec<&str> = theirs
             .iter()
             .filter_map(|prim| prim["path"].as_str())
             .collect();
-        self.fact(
-            &format!("{name} prims"),
-            &ours_paths.iter().map(String::as_str).collect(),
-            &truth_paths,
-        );
-        self.fact(
-            &format!("{name} prototypeStart"),
-            &json!(ours.prototype_start),
-            &truth["prototypeStart"],
-        );
-        self.fact(
-            &format!("{name} upAxis"),
-            &json!(ours.meta.up_axis),
-            &truth["upAxis"],
-        );
-        self.fact(
-            &format!("{name} metersPerUnit"),
-            &json!(ours.meta.meters_per_unit),
-            &truth["metersPerUnit"],
-        );
-        self.fact(
-            &format!("{name} defaultPrim"),
-            &json!(ours.meta.default_prim),
-            &truth["defaultPrim"],
-        );
-        self.fact(
-            &format!("{name} start"),
-            &json!(ours.meta.start_time_code),
-            &truth["startTimeCode"],
-        );
-        self.fact(
-            &format!("{name} end"),
-            &json!(ours.meta.end_time_code),
-            &truth["endTimeCode"],
-        );
-        let mut layers: Vec<String> = ours.meta.layers.iter().map(|layer| real(layer)).collect();
+        self.fact(&format!("{name} prims"), &json!(paths), &json!(their_paths));
+        let meta = &ours.meta;
+        let pairs = [
+            ("prototypeStart", json!(ours.prototype_start)),
+            ("upAxis", json!(meta.up_axis)),
+            ("metersPerUnit", json!(meta.meters_per_unit)),
+            ("defaultPrim", json!(meta.default_prim)),
+            ("startTimeCode", json!(meta.start_time_code)),
+            ("endTimeCode", json!(meta.end_time_code)),
+        ];
+        self.all(&name, truth, &pairs);
+        let mut layers: Vec<String> = meta.layers.iter().map(|layer| real(layer)).collect();
         layers.sort();
+        layers.dedup();
         self.layers(&name, &layers, &keys(&truth["layers"]));
-        for (index, prim) in ours.prims.iter().enumerate() {
-            if let Some(at) = truth_paths
-                .iter()
-                .position(|path| *path == ours_paths[index])
-            {
+        for ((prim, path), theirs) in ours.prims.iter().zip(&paths).zip(&theirs) {
+            if theirs["path"].as_str() == Some(path) {
                 self.prims += 1;
-                self.prim(
-                    &format!("{name} {}", prim.path),
-                    ours,
-                    prim,
-                    &truth_prims[at],
-                    &names,
-                    case.time.is_some(),
-                );
+                self.prim(&format!("{name} {path}"), &look, prim, theirs);
             }
         }
     }
@@ -218,123 +193,60 @@ impl Tally {
         }
     }
 
-    fn prim(
-        &mut self,
-        name: &str,
-        stage: &RawStage,
-        ours: &RawPrim,
-        truth: &Json,
-        names: &[&str],
-        timed: bool,
-    ) {
-        let path_of = |index: Option<usize>| {
-            json!(index.map(|index| renamed(&stage.prims[index].path, names)))
-        };
-        self.fact(
-            &format!("{name} type"),
-            &json!(ours.type_name),
-            &truth["type"],
-        );
-        self.fact(
-            &format!("{name} parent"),
-            &path_of(ours.parent),
-            &truth["parent"],
-        );
-        self.fact(
-            &format!("{name} apiSchemas"),
-            &json!(ours.api_schemas),
-            &truth["apiSchemas"],
-        );
-        self.fact(
-            &format!("{name} prototype"),
-            &path_of(ours.prototype),
-            &truth["prototype"],
-        );
-        self.fact(&format!("{name} kind"), &json!(ours.kind), &truth["kind"]);
+    fn prim(&mut self, name: &str, look: &Look<'_>, ours: &RawPrim, truth: &Json) {
+        let pairs = [
+            ("type", json!(ours.type_name)),
+            ("parent", look.path_of(ours.parent)),
+            ("apiSchemas", json!(ours.api_schemas)),
+            ("prototype", look.path_of(ours.prototype)),
+            ("kind", json!(ours.kind)),
+        ];
+        self.all(name, truth, &pairs);
+        let listed: Vec<&String> = ours.attributes.keys().collect();
         self.fact(
             &format!("{name} attributes"),
-            &keys(&json!(ours.attributes.keys().collect::<Vec<_>>())),
+            &json!(listed),
             &sorted_keys(&truth["attributes"]),
         );
+        let listed: Vec<&String> = ours.relationships.keys().collect();
         self.fact(
             &format!("{name} relationships"),
-            &keys(&json!(ours.relationships.keys().collect::<Vec<_>>())),
+            &json!(listed),
             &sorted_keys(&truth["relationships"]),
         );
         for (key, relationship) in &ours.relationships {
-            let truth = &truth["relationships"][key];
-            let targets: Vec<String> = relationship
-                .targets
-                .iter()
-                .map(|path| renamed(path, names))
-                .collect();
-            self.fact(
-                &format!("{name}.{key} targets"),
-                &json!(targets),
-                &truth["targets"],
-            );
-            self.fact(
-                &format!("{name}.{key} bindMaterialAs"),
-                &json!(relationship.bind_material_as),
-                &truth["bindMaterialAs"],
+            let pairs = [
+                ("targets", look.all_named(&relationship.targets)),
+                ("bindMaterialAs", json!(relationship.bind_material_as)),
+            ];
+            self.all(
+                &format!("{name}.{key}"),
+                &truth["relationships"][key],
+                &pairs,
             );
         }
         for (key, attribute) in &ours.attributes {
             self.attribute(
                 &format!("{name}.{key}"),
+                look,
                 attribute,
                 &truth["attributes"][key],
-                names,
-                timed,
             );
         }
     }
 
-    fn attribute(
-        &mut self,
-        name: &str,
-        ours: &RawAttribute,
-        truth: &Json,
-        names: &[&str],
-        timed: bool,
-    ) {
-        let connections: Vec<String> = ours
-            .connections
-            .iter()
-            .map(|path| renamed(path, names))
-            .collect();
-        self.fact(
-            &format!("{name} type"),
-            &json!(ours.type_name),
-            &truth["type"],
-        );
-        self.fact(
-            &format!("{name} interpolation"),
-            &json!(ours.interpolation),
-            &truth["interpolation"],
-        );
-        self.fact(
-            &format!("{name} elementSize"),
-            &json!(ours.element_size),
-            &truth["elementSize"],
-        );
-        self.fact(
-            &format!("{name} colorSpace"),
-            &json!(ours.color_space),
-            &truth["colorSpace"],
-        );
-        self.fact(
-            &format!("{name} connections"),
-            &json!(connections),
-            &truth["connections"],
-        );
-        self.fact(
-            &format!("{name} varying"),
-            &json!(ours.varying),
-            &truth["varying"],
-        );
+    fn attribute(&mut self, name: &str, look: &Look<'_>, ours: &RawAttribute, truth: &Json) {
+        let pairs = [
+            ("type", json!(ours.type_name)),
+            ("interpolation", json!(ours.interpolation)),
+            ("elementSize", json!(ours.element_size)),
+            ("colorSpace", json!(ours.color_space)),
+            ("connections", look.all_named(&ours.connections)),
+            ("varying", json!(ours.varying)),
+        ];
+        self.all(name, truth, &pairs);
         self.values += 1;
-        let tolerance = match timed {
+        let tolerance = match look.timed {
             false => COPIED,
             true if ours.type_name.contains('h') => HALF,
             true => INTERPOLATED,
@@ -349,6 +261,41 @@ impl Tally {
     }
 }
 
+/// How one stage of ours is looked at.
+struct Look<'a> {
+    stage: &'a RawStage,
+    /// Its prototype roots, in order.
+    names: Vec<&'a str>,
+    timed: bool,
+}
+
+impl Look<'_> {
+    fn named(&self, path: &str) -> String {
+        renamed(path, &self.names)
+    }
+
+    fn all_named(&self, paths: &[String]) -> Json {
+        json!(
+            paths
+                .iter()
+                .map(|path| self.named(path))
+                .collect::<Vec<_>>()
+        )
+    }
+
+    fn path_of(&self, index: Option<usize>) -> Json {
+        json!(index.map(|index| self.named(&self.stage.prims[index].path)))
+    }
+}
+
+fn our_prototypes(stage: &RawStage) -> Vec<&str> {
+    let prims = stage.prims[stage.prototype_start..].iter();
+    prims
+        .filter(|prim| prim.parent.is_none())
+        .map(|prim| prim.path.as_str())
+        .collect()
+}
+
 fn keys(list: &Json) -> Vec<String> {
     let names = list.as_array().into_iter().flatten();
     names
@@ -356,13 +303,13 @@ fn keys(list: &Json) -> Vec<String> {
         .collect()
 }
 
-fn sorted_keys(object: &Json) -> Vec<String> {
+fn sorted_keys(object: &Json) -> Json {
     let mut names: Vec<String> = object
         .as_object()
         .map(|map| map.keys().cloned().collect())
         .unwrap_or_default();
     names.sort();
-    names
+    json!(names)
 }
 
 fn real(path: &str) -> String {
@@ -1274,7 +1221,7 @@ fn composition_features_read_like_usd_core_reads_them() {
 const RICH: &str = r#"#usda 1.0
 (defaultPrim = "World" customLayerData = { string tool = "t" dictionary more = { int n = 3 } })
 def Xform "World" (kind = "group" prepend apiSchemas = ["MaterialBindingAPI"] variants = { string v = "a" } prepend variantSets = "v"
-    inherits = </World/C> references = </World/C> payload = </World/C>) {
+    inherits = </K> references = </K> payload = </K>) {
     point3f[] points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1)]
     int[] faceVertexCounts = [3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3]
     float[] widths = [1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3, 1, 2, 3]
@@ -1286,6 +1233,7 @@ def Xform "World" (kind = "group" prepend apiSchemas = ["MaterialBindingAPI"] va
     def Sphere "C" { double radius = 2 color3f[] primvars:displayColor = [(1, 0, 0)] (interpolation = "constant") }
     variantSet "v" = { "a" { int chosen = 1 } "b" { int chosen = 2 } }
 }
+class "K" { def "Part" (inherits = </K/Base>) { double d = 1 } class "Base" {} }
 "#;
 
 fn binary(text: &str) -> Vec<u8> {
@@ -1327,4 +1275,89 @@ fn bit_flips_are_survived() {
             survive(folder.path(), "flipped.usdc", &bytes);
         }
     }
+}
+
+#[test]
+fn class_arcs_in_circles_are_an_error_that_names_the_layer() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("circle.usda");
+    for text in [
+        "def \"W\" { def \"a\" (inherits = </W/b>) {} def \"b\" (inherits = </W/a>) {} }",
+        "def \"W\" (inherits = </K> references = </K/P>) {}\n\
+         class \"K\" { def \"P\" (inherits = </K/B>) {} class \"B\" {} }",
+    ] {
+        std::fs::write(&path, format!("#usda 1.0\n{text}\n")).expect("a file");
+        let result = native(&Case::new(&path, None), &Diagnostics::default());
+        let message = result.expect_err("a circle").to_string();
+        let named = message.contains("circle.usda") && message.contains("run in circles");
+        assert!(named, "{message}");
+    }
+}
+
+#[test]
+fn an_unreadable_referenced_layer_is_an_error_and_a_missing_one_a_warning() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let root = folder.path().join("root.usda");
+    let write = |reference: &str| {
+        let text = format!("#usda 1.0\ndef \"P\" (references = @./{reference}@</A>) {{}}\n");
+        std::fs::write(&root, text).expect("a file");
+        let diagnostics = Diagnostics::default();
+        let result = native(&Case::new(&root, None), &diagnostics);
+        (result, diagnostics.warnings())
+    };
+    std::fs::write(
+        folder.path().join("bad.usda"),
+        "#usda 1.0\ndef \"A\" { int a = }\n",
+    )
+    .expect("a file");
+    let message = write("bad.usda").0.expect_err("a parse error").to_string();
+    assert!(
+        message.contains("bad.usda") && message.contains("--usd usd-core"),
+        "{message}"
+    );
+    let (stage, warnings) = write("gone.usda");
+    assert_eq!(stage.expect("the rest is read").prims.len(), 1);
+    assert_eq!(warnings[0].kind, "missing-layer");
+    assert!(
+        warnings[0].message.contains("gone.usda"),
+        "{}",
+        warnings[0].message
+    );
+}
+
+#[test]
+fn masks_and_packages_read_like_usd_core_reads_them() {
+    let Some(python) = python() else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let package = folder.path().join("p.usdz");
+    let mut writer = openusd::usdz::ArchiveWriter::create(&package).expect("a package");
+    let root =
+        "#usda 1.0\ndef \"R\" (references = @./parts/a.usda@</A>) {\nasset tex = @tex/t.png@\n}\n";
+    writer
+        .add_layer("root.usda", root.as_bytes())
+        .expect("an entry");
+    let part = "#usda 1.0\ndef \"A\" { asset near = @../tex/t.png@\nasset gone = @./t.png@\n}\n";
+    writer
+        .add_layer("parts/a.usda", part.as_bytes())
+        .expect("an entry");
+    writer.add_layer("tex/t.png", b"png").expect("an entry");
+    writer.finish().expect("a package");
+    let outer = folder.path().join("outer.usda");
+    let text = "#usda 1.0\ndef \"O\" (references = @./p.usdz@</R>) {\nasset inner = @./p.usdz[tex/t.png]@\n}\n";
+    std::fs::write(&outer, text).expect("a file");
+    let masked = folder.path().join("masked.usda");
+    let text = "#usda 1.0\ndef \"W\" { def \"A\" { def \"B\" {}\n}\ndef \"C\" { def \"D\" {}\n}\n\
+                def \"I\" (\ninstanceable = true\nreferences = </W/A>\n) {}\n}\ndef \"X\" {}\n";
+    std::fs::write(&masked, text).expect("a file");
+    let mut cases = vec![Case::new(&package, None), Case::new(&outer, None)];
+    for mask in [vec!["/W/A"], vec!["/W/C/D", "/X"], vec!["/W/I"]] {
+        cases.push(Case {
+            mask: mask.into_iter().map(str::to_owned).collect(),
+            ..Case::new(&masked, None)
+        });
+    }
+    let tally = compare(&python, &cases);
+    assert!(tally.different.is_empty(), "{}", tally.different.join("\n"));
 }

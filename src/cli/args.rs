@@ -46,6 +46,9 @@ pub(super) struct StageArgs {
     /// Frames: 101, 101:110, 101:110x2, 101-110:2, 1,5,9. Without it: the default time.
     #[arg(long, allow_hyphen_values = true)]
     pub(super) frames: Option<Frames>,
+    /// Add a dome light: its radiance (1 = white), or a latlong .exr or .hdr image.
+    #[arg(long, value_name = "RADIANCE|FILE")]
+    pub(super) dome: Option<String>,
     /// Only these prims, what is below and what is above them.
     #[arg(long, value_name = "PATHS", value_delimiter = ',')]
     pub(super) mask: Vec<String>,

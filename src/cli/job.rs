@@ -6,7 +6,7 @@ use super::args::{
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
-    BakeJob, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,
+    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
@@ -36,12 +36,12 @@ pub(super) fn from_args(cli: Cli, command_line: &[String]) -> anyhow::Result<Job
         Command::Points(args) => Job::Points(points(args, command_line)?),
         Command::Bake(args) => Job::Bake(bake(args, command_line)?),
         Command::Render(args) => Job::Render(render(args, command_line)?),
-        Command::Info(args) => Job::Info(stage(args.stage, command_line)),
+        Command::Info(args) => Job::Info(stage(args.stage, command_line)?),
     })
 }
 
-fn stage(args: StageArgs, command_line: &[String]) -> StageJob {
-    StageJob {
+fn stage(args: StageArgs, command_line: &[String]) -> anyhow::Result<StageJob> {
+    Ok(StageJob {
         path: args.stage,
         door: match args.usd {
             UsdDoor::Auto => Door::Auto,
@@ -49,9 +49,19 @@ fn stage(args: StageArgs, command_line: &[String]) -> StageJob {
             UsdDoor::UsdCore => Door::UsdCore,
         },
         frames: args.frames.map(|frames| frames.0).unwrap_or_default(),
+        dome: args.dome.map(dome).transpose()?,
         mask: args.mask,
         purposes: args.purposes.into_iter().map(purpose).collect(),
         command: command_line.to_vec(),
+    })
+}
+
+fn dome(text: String) -> anyhow::Result<Dome> {
+    match text.parse::<f32>() {
+        Ok(radiance) if radiance >= 0.0 && radiance.is_finite() => Ok(Dome::Uniform(radiance)),
+        Ok(_) => bail!("--dome {text}: radiance is a number of 0 or more"),
+        Err(_) if Path::new(&text).is_file() => Ok(Dome::Image(text.into())),
+        Err(_) => bail!("--dome {text}: neither a number nor a file"),
     }
 }
 
@@ -100,7 +110,7 @@ fn points(args: PointsArgs, command_line: &[String]) -> anyhow::Result<PointsJob
     let defaults = BakeSettings::default();
     let SurfelArgs { spacing, surfels } = args.surfels;
     Ok(PointsJob {
-        stage: stage(args.stage, command_line),
+        stage: stage(args.stage, command_line)?,
         output: output(args.output, USD_EXTENSIONS)?,
         bake: BakeSettings {
             spacing,
@@ -158,7 +168,7 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
         gather.aovs.push(aov);
     }
     Ok(BakeJob {
-        stage: stage(args.stage, command_line),
+        stage: stage(args.stage, command_line)?,
         output: output(args.output, USD_EXTENSIONS)?,
         gather,
         interpolation: match args.interpolation {
@@ -176,7 +186,7 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
 
 fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob> {
     let job = RenderJob {
-        stage: stage(args.stage, command_line),
+        stage: stage(args.stage, command_line)?,
         output: output(args.output, &["exr"])?,
         gather: gather(args.gather, args.surfels)?,
         camera: args.camera,

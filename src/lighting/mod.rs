@@ -119,6 +119,11 @@ impl Lighting {
         self.environment.uniform
     }
 
+    /// True if nothing shines at all: no lights, no environment, no emissive surface.
+    pub fn is_dark(&self) -> bool {
+        self.lights.is_empty() && !self.has_environment() && !self.has_emitters()
+    }
+
     /// True if there are dome lights that are not black.
     pub fn has_environment(&self) -> bool {
         self.environment.is_lit()

@@ -2,8 +2,8 @@
 
 use super::gather::{gather, record};
 use super::job::BakeJob;
-use super::report::{Report, timed};
-use super::world::{Needs, World, read_settings, with_world};
+use super::report::{Report, peak_memory_bytes, timed};
+use super::world::{Needs, World, with_world};
 use super::{Error, outputs, provenance};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::primvar;
@@ -30,10 +30,9 @@ pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Er
     let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
     let mut writer: Option<LayerWriter> = None;
     for time in job.stage.times() {
-        let settings = read_settings(&job.stage, time, Needs::of(&job.gather.aovs));
         with_world(
             source.as_mut(),
-            &settings,
+            (&job.stage, time, Needs::of(&job.gather.aovs)),
             &mut report,
             diagnostics,
             |world, report| {
@@ -50,6 +49,7 @@ pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Er
             },
         )?;
     }
+    report.peak_memory_bytes = peak_memory_bytes(source.as_ref());
     let Some(writer) = writer else {
         return Err(Error::NothingToBake {
             path: job.stage.path.clone(),

@@ -174,7 +174,8 @@ fn light(
     job: &GatherJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Light, Error> {
-    let indirect = job.bounces > 0 && aovs.iter().any(|aov| aov.needs_indirect());
+    let shines = !world.lighting.is_dark() || !job.clouds.is_empty();
+    let indirect = shines && job.bounces > 0 && aovs.iter().any(|aov| aov.needs_indirect());
     if !indirect && job.engine == EngineChoice::Rays {
         return Ok(Light::None);
     }

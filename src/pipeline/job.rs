@@ -15,12 +15,23 @@ pub struct StageJob {
     pub door: Door,
     /// Time codes; empty = the default time.
     pub frames: Vec<f64>,
+    /// A dome light in addition to the stage's own.
+    pub dome: Option<Dome>,
     /// Population mask.
     pub mask: Vec<String>,
     /// Purposes besides `default`.
     pub purposes: Vec<Purpose>,
     /// The command line, stored in outputs and statistics.
     pub command: Vec<String>,
+}
+
+/// A dome light that the stage does not have.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Dome {
+    /// The same white radiance from everywhere.
+    Uniform(f32),
+    /// A latlong image, radiance as stored.
+    Image(PathBuf),
 }
 
 impl StageJob {

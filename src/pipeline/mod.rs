@@ -12,7 +12,9 @@ mod view;
 mod world;
 
 pub use info::{GeometrySummary, LightSummary, MaterialSummary, RenderSummary, StageSummary, info};
-pub use job::{BakeJob, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob};
+pub use job::{
+    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,
+};
 pub use report::{Counts, ErrorReport, Report, Seconds};
 
 use crate::diagnostics::{Cancelled, Diagnostics};
@@ -88,7 +90,7 @@ pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
     // Who interrupts the last write is not told of a success; its file is complete.
     diagnostics.check()?;
     report.seconds.total = start.elapsed().as_secs_f64();
-    report.peak_memory_bytes = report::peak_memory_bytes();
+
     report.warnings = diagnostics.warnings();
     Ok(report)
 }

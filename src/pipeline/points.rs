@@ -2,8 +2,8 @@
 
 use super::gather::dice;
 use super::job::PointsJob;
-use super::report::{Report, timed};
-use super::world::{Needs, read_settings, with_world};
+use super::report::{Report, peak_memory_bytes, timed};
+use super::world::{Needs, with_world};
 use super::{Error, outputs, provenance};
 use crate::diagnostics::Diagnostics;
 use crate::stage;
@@ -30,10 +30,9 @@ pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, 
     }
     let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
     for (time, path) in &frames {
-        let settings = read_settings(&job.stage, *time, Needs::ALL);
         with_world(
             source.as_mut(),
-            &settings,
+            (&job.stage, *time, Needs::ALL),
             &mut report,
             diagnostics,
             |world, report| {
@@ -52,5 +51,6 @@ pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, 
             },
         )?;
     }
+    report.peak_memory_bytes = peak_memory_bytes(source.as_ref());
     Ok(report)
 }

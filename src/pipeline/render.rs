@@ -2,9 +2,9 @@
 
 use super::gather::{gather, record};
 use super::job::RenderJob;
-use super::report::{Report, timed};
+use super::report::{Report, peak_memory_bytes, timed};
 use super::view::{View, views};
-use super::world::{Needs, World, read_settings, with_world};
+use super::world::{Needs, World, with_world};
 use super::{Error, outputs};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::camera;
@@ -37,10 +37,9 @@ pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, 
         Needs::of(&job.gather.aovs)
     };
     for time in times {
-        let settings = read_settings(&job.stage, time, needs);
         with_world(
             source.as_mut(),
-            &settings,
+            (&job.stage, time, needs),
             &mut report,
             diagnostics,
             |world, report| {
@@ -56,6 +55,7 @@ pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, 
             },
         )?;
     }
+    report.peak_memory_bytes = peak_memory_bytes(source.as_ref());
     Ok(report)
 }
 

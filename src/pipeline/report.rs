@@ -1,6 +1,7 @@
 //! What a run did, as `--json` prints it (DESIGN: `surflux`, `command`, `usd`, `seconds`, `counts`, …).
 
 use crate::diagnostics::Warning;
+use crate::stage::{self, Source};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -108,12 +109,9 @@ pub(super) fn timed<T>(total: &mut f64, work: impl FnOnce() -> T) -> T {
     value
 }
 
-/// Peak resident memory of this process and its worker children, bytes; `None` where `/proc` does not tell.
-pub(super) fn peak_memory_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kibibytes * 1024)
+/// Peak resident memory of this process and, where `source` reads with one of its own, of that too; `None` where the
+/// system does not tell.
+pub(super) fn peak_memory_bytes(source: &dyn Source) -> Option<u64> {
+    let own = stage::process_peak_memory("self")?;
+    Some(own + source.peak_memory_bytes().unwrap_or(0))
 }

@@ -1,14 +1,15 @@
 //! A stage read at one time and made ready to be lit: scene, materials, rays, lights.
 
 use super::report::{Report, timed};
-use super::{Error, StageJob};
+use super::{Dome, Error, StageJob};
 use crate::diagnostics::Diagnostics;
 use crate::lighting::{LightSamples, Lighting};
 use crate::results::Aov;
-use crate::scene::Scene;
+use crate::scene::{Light, LightKind, Scene};
 use crate::shading::Shader;
 use crate::stage::{self, ReadSettings, Source};
 use crate::trace::Tracer;
+use glam::{Affine3A, Vec3};
 
 /// What a job has to read besides geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,19 +69,22 @@ impl<'a> World<'a> {
     }
 }
 
-/// Read `source` at `time`, prepare it, and hand it to `work`. Seconds count as `read`.
+/// Read `job`'s stage from `source` at `time`, prepare it, and hand it to `work`. Seconds count as `read`.
 pub(super) fn with_world<T>(
     source: &mut dyn Source,
-    settings: &ReadSettings,
+    (job, time, needs): (&StageJob, Option<f64>, Needs),
     report: &mut Report,
     diagnostics: &Diagnostics,
     work: impl FnOnce(&World<'_>, &mut Report) -> Result<T, Error>,
 ) -> Result<T, Error> {
     let mut seconds = 0.0;
-    let scene = timed(&mut seconds, || {
+    let mut scene = timed(&mut seconds, || {
         let _phase = diagnostics.phase("read", "stage", 0);
-        stage::read(source, settings, diagnostics)
+        stage::read(source, &read_settings(job, time, needs), diagnostics)
     })?;
+    if needs.lights {
+        scene.lights.extend(job.dome.as_ref().map(dome_light));
+    }
     if scene.triangle_count() == 0 {
         return Err(Error::NothingToLight {
             path: scene.stage.path,
@@ -96,6 +100,27 @@ pub(super) fn with_world<T>(
     report.usd.clone_from(&scene.stage.reader);
     report.counts.prims = report.counts.prims.max(scene.prims.len());
     report.counts.triangles = report.counts.triangles.max(scene.triangle_count());
+    if needs.lights && world.lighting.is_dark() {
+        let message = "nothing on the stage shines: all light is black (--dome 1 adds a white sky)";
+        diagnostics.warn("no-light", scene.stage.path.display().to_string(), message);
+    }
     diagnostics.check()?;
     work(&world, report)
+}
+
+/// `--dome` as a light of the scene.
+fn dome_light(dome: &Dome) -> Light {
+    let (radiance, texture) = match dome {
+        Dome::Uniform(radiance) => (*radiance, None),
+        Dome::Image(path) => (1.0, Some(path.clone())),
+    };
+    Light {
+        path: "--dome".to_owned(),
+        kind: LightKind::Dome { texture },
+        radiance: Vec3::splat(radiance),
+        normalize: false,
+        world_from_light: Affine3A::IDENTITY,
+        shaping: None,
+        casts_shadows: true,
+    }
 }

@@ -76,6 +76,12 @@ pub trait Source: std::fmt::Debug {
 
     /// `native` or `usd-core`.
     fn name(&self) -> &'static str;
+
+    /// Peak resident memory, bytes, of a process of its own that the source reads with, if it has one and the system
+    /// tells.
+    fn peak_memory_bytes(&self) -> Option<u64> {
+        None
+    }
 }
 
 /// Open the stage at `path` through `door`.
@@ -140,4 +146,14 @@ pub fn read(
 ) -> Result<Scene, Error> {
     let raw = source.load(&Request::for_settings(settings), diagnostics)?;
     passes::scene(&raw, settings, diagnostics)
+}
+
+/// Peak resident memory, bytes, of the process `id` (`self` = this one) where `/proc` tells.
+pub fn process_peak_memory(id: impl std::fmt::Display) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{id}/status")).ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kibibytes * 1024)
 }

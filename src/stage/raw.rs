@@ -19,6 +19,20 @@ pub struct Request {
     pub values_not_needed: Vec<String>,
 }
 
+/// Inputs of UsdLux that files before USD 21 author without `inputs:` and that no other schema asks for.
+const OLD_LIGHT_INPUTS: [&str; 10] = [
+    "angle",
+    "exposure",
+    "diffuse",
+    "specular",
+    "normalize",
+    "enableColorTemperature",
+    "colorTemperature",
+    "shaping:*",
+    "shadow:*",
+    "texture:*",
+];
+
 impl Request {
     /// The attributes that `settings` can make use of.
     pub fn for_settings(settings: &ReadSettings) -> Self {
@@ -91,6 +105,9 @@ impl Request {
             "familyName",
             "indices",
             "subsetFamily:*",
+            // GeomModelAPI
+            "model:drawMode",
+            "model:applyDrawMode",
         ];
         if settings.materials {
             attributes.extend([
@@ -109,7 +126,9 @@ impl Request {
                 "collection:*",
                 "treatAsPoint",
                 "treatAsLine",
+                "poleAxis",
             ]);
+            attributes.extend(OLD_LIGHT_INPUTS);
         }
         Self {
             time: settings.time,
@@ -275,4 +294,29 @@ pub enum Value {
     MatrixArray(Vec<DMat4>),
     /// token[], string[].
     TokenArray(Vec<String>),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn old_names_of_light_inputs_are_asked_for_with_lights_only() {
+        let names = [
+            "poleAxis",
+            "angle",
+            "colorTemperature",
+            "shaping:cone:angle",
+            "texture:file",
+        ];
+        let with = Request::for_settings(&ReadSettings::default());
+        let without = Request::for_settings(&ReadSettings {
+            lights: false,
+            ..ReadSettings::default()
+        });
+        for name in names {
+            assert!(with.wants(name), "{name}");
+            assert!(!without.wants(name), "{name}");
+        }
+    }
 }

@@ -7,7 +7,7 @@ use crate::stage::Error;
 use openusd::pcp;
 use std::path::{Path, PathBuf};
 
-/// Extensions every build of USD can read. A layer in another format needs a plug-in that PyPI's usd-core lacks too.
+/// Extensions every build of USD can read. A layer in another format needs a plug-in that the usd-core of `PyPI` lacks too.
 const USD_EXTENSIONS: [&str; 4] = ["usd", "usda", "usdc", "usdz"];
 
 /// What to do about `error` of the stage at `root`.

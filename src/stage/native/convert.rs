@@ -200,78 +200,37 @@ fn array(from: &sdf::Value) -> Option<Value> {
     })
 }
 
-#[expect(
-    clippy::cast_precision_loss,
-    reason = "integer vectors have no exact f32 form; none is geometry"
-)]
 fn tuple_array(from: &sdf::Value) -> Option<Value> {
+    use glam::{IVec2, IVec3, IVec4};
     use sdf::Value as V;
     Some(match from {
-        V::Vec2hVec(v) => Value::Vec2Array(
-            v.iter()
-                .map(|v| Vec2::new(v.x.to_f32(), v.y.to_f32()))
-                .collect(),
-        ),
-        V::Vec2fVec(v) => Value::Vec2Array(v.iter().map(|v| Vec2::new(v.x, v.y)).collect()),
-        V::Vec2dVec(v) => Value::Vec2Array(
-            v.iter()
-                .map(|v| Vec2::new(single(v.x), single(v.y)))
-                .collect(),
-        ),
-        V::Vec2iVec(v) => Value::Vec2Array(
-            v.iter()
-                .map(|v| Vec2::new(v.x as f32, v.y as f32))
-                .collect(),
-        ),
-        V::Vec3hVec(v) => Value::Vec3Array(
-            v.iter()
-                .map(|v| Vec3::new(v.x.to_f32(), v.y.to_f32(), v.z.to_f32()))
-                .collect(),
-        ),
-        V::Vec3fVec(v) => Value::Vec3Array(v.iter().map(|v| Vec3::new(v.x, v.y, v.z)).collect()),
-        V::Vec3dVec(v) => Value::Vec3Array(
-            v.iter()
-                .map(|v| DVec3::new(v.x, v.y, v.z).as_vec3())
-                .collect(),
-        ),
-        V::Vec3iVec(v) => Value::Vec3Array(
-            v.iter()
-                .map(|v| glam::IVec3::new(v.x, v.y, v.z).as_vec3())
-                .collect(),
-        ),
-        V::Vec4hVec(v) => Value::Vec4Array(
-            v.iter()
-                .map(|v| Vec4::new(v.x.to_f32(), v.y.to_f32(), v.z.to_f32(), v.w.to_f32()))
-                .collect(),
-        ),
-        V::Vec4fVec(v) => {
-            Value::Vec4Array(v.iter().map(|v| Vec4::new(v.x, v.y, v.z, v.w)).collect())
-        }
-        V::Vec4dVec(v) => Value::Vec4Array(
-            v.iter()
-                .map(|v| DVec4::new(v.x, v.y, v.z, v.w).as_vec4())
-                .collect(),
-        ),
-        V::Vec4iVec(v) => Value::Vec4Array(
-            v.iter()
-                .map(|v| glam::IVec4::new(v.x, v.y, v.z, v.w).as_vec4())
-                .collect(),
-        ),
-        V::QuathVec(v) => Value::QuatArray(
-            v.iter()
-                .map(|q| Vec4::new(q.x.to_f32(), q.y.to_f32(), q.z.to_f32(), q.w.to_f32()))
-                .collect(),
-        ),
-        V::QuatfVec(v) => {
-            Value::QuatArray(v.iter().map(|q| Vec4::new(q.x, q.y, q.z, q.w)).collect())
-        }
-        V::QuatdVec(v) => Value::QuatArray(
-            v.iter()
-                .map(|q| DVec4::new(q.x, q.y, q.z, q.w).as_vec4())
-                .collect(),
-        ),
+        V::Vec2hVec(v) => Value::Vec2Array(each(v, |v| Vec2::new(v.x.to_f32(), v.y.to_f32()))),
+        V::Vec2fVec(v) => Value::Vec2Array(each(v, |v| Vec2::new(v.x, v.y))),
+        V::Vec2dVec(v) => Value::Vec2Array(each(v, |v| DVec2::new(v.x, v.y).as_vec2())),
+        V::Vec2iVec(v) => Value::Vec2Array(each(v, |v| IVec2::new(v.x, v.y).as_vec2())),
+        V::Vec3hVec(v) => Value::Vec3Array(each(v, |v| {
+            Vec3::from([v.x, v.y, v.z].map(half::f16::to_f32))
+        })),
+        V::Vec3fVec(v) => Value::Vec3Array(each(v, |v| Vec3::new(v.x, v.y, v.z))),
+        V::Vec3dVec(v) => Value::Vec3Array(each(v, |v| DVec3::new(v.x, v.y, v.z).as_vec3())),
+        V::Vec3iVec(v) => Value::Vec3Array(each(v, |v| IVec3::new(v.x, v.y, v.z).as_vec3())),
+        V::Vec4hVec(v) => Value::Vec4Array(each(v, |v| {
+            Vec4::from([v.x, v.y, v.z, v.w].map(half::f16::to_f32))
+        })),
+        V::Vec4fVec(v) => Value::Vec4Array(each(v, |v| Vec4::new(v.x, v.y, v.z, v.w))),
+        V::Vec4dVec(v) => Value::Vec4Array(each(v, |v| DVec4::new(v.x, v.y, v.z, v.w).as_vec4())),
+        V::Vec4iVec(v) => Value::Vec4Array(each(v, |v| IVec4::new(v.x, v.y, v.z, v.w).as_vec4())),
+        V::QuathVec(v) => Value::QuatArray(each(v, |q| {
+            Vec4::from([q.x, q.y, q.z, q.w].map(half::f16::to_f32))
+        })),
+        V::QuatfVec(v) => Value::QuatArray(each(v, |q| Vec4::new(q.x, q.y, q.z, q.w))),
+        V::QuatdVec(v) => Value::QuatArray(each(v, |q| DVec4::new(q.x, q.y, q.z, q.w).as_vec4())),
         _ => return None,
     })
+}
+
+fn each<T, U>(list: &[T], convert: impl Fn(&T) -> U) -> Vec<U> {
+    list.iter().map(convert).collect()
 }
 
 /// USD's matrix is rows that act on row vectors: read as columns it is its own transpose.

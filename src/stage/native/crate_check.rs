@@ -12,9 +12,16 @@ const DEEPEST: usize = 2_000;
 const SECTION_BYTES: usize = 32;
 const MOST_SECTIONS: u64 = 64;
 
+/// What is to know of a sound file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Soundness {
+    /// It may hold inherits or specializes.
+    pub(super) has_classes: bool,
+}
+
 /// # Errors
 /// What is damaged, or that the version cannot be read.
-pub(super) fn check(bytes: &[u8]) -> Result<(), String> {
+pub(super) fn check(bytes: &[u8]) -> Result<Soundness, String> {
     let minor = version(bytes)?;
     let sections = sections(bytes)?;
     let section = |name: &str| {
@@ -23,7 +30,10 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), String> {
             .find(|section| section.0 == name)
             .map(|section| section.1)
     };
-    let tokens = section("TOKENS").map_or(Ok(0), |at| tokens(Reader::new(bytes, at)))?;
+    let (tokens, has_classes) = match section("TOKENS") {
+        Some(at) => tokens(Reader::new(bytes, at))?,
+        None => (0, false),
+    };
     if let Some(at) = section("STRINGS") {
         let mut reader = Reader::new(bytes, at);
         let count = reader.count(4)?;
@@ -46,10 +56,10 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), String> {
             reader.ints(count)?;
         }
     }
-    match section("FIELDS") {
-        Some(at) => crate_values::check(bytes, minor, &reps(Reader::new(bytes, at))?),
-        None => Ok(()),
+    if let Some(at) = section("FIELDS") {
+        crate_values::check(bytes, minor, &reps(Reader::new(bytes, at))?)?;
     }
+    Ok(Soundness { has_classes })
 }
 
 fn version(bytes: &[u8]) -> Result<u8, String> {
@@ -89,14 +99,16 @@ fn sections(bytes: &[u8]) -> Result<Vec<(String, usize)>, String> {
     Ok(sections)
 }
 
-/// Number of tokens.
-fn tokens(mut reader: Reader<'_>) -> Result<u64, String> {
+/// Number of tokens, and whether one of them names a class arc.
+fn tokens(mut reader: Reader<'_>) -> Result<(u64, bool), String> {
     let count = reader.u64()?;
     let size = reader.u64()?;
     let text = reader.decompressed(size)?;
     let held = text.iter().filter(|&&byte| byte == 0).count() as u64;
+    let mut words = text.split(|&byte| byte == 0);
+    let has_classes = words.any(|word| word == b"inheritPaths" || word == b"specializes");
     match held == count && text.len() as u64 == size {
-        true => Ok(count),
+        true => Ok((count, has_classes)),
         false => Err(format!("{count} tokens announced, {held} found")),
     }
 }
@@ -369,7 +381,7 @@ mod tests {
         let mut file = std::io::Cursor::new(Vec::new());
         openusd::usdc::CrateWriter::write(&data, &mut file).unwrap();
         let bytes = file.into_inner();
-        assert_eq!(check(&bytes), Ok(()));
+        assert_eq!(check(&bytes), Ok(Soundness { has_classes: false }));
         for length in 0..bytes.len() {
             assert!(
                 check(&bytes[..length]).is_err(),

@@ -1,14 +1,18 @@
 //! Asset paths → files, as Pixar's default resolver finds them, and files → layers the crate can be trusted with:
 //! text repaired ([`text`]), binary checked ([`crate_check`]), package entries read in place ([`package`]).
 
+use super::class_cycles::ClassArcs;
 use super::package::Package;
 use super::{crate_check, text};
 use openusd::ar::{self, Asset, ResolvedPath, Resolver};
+use openusd::sdf::AbstractData;
+use openusd::usdc::CrateData;
 use std::cell::RefCell;
 use std::collections::HashMap;
-use std::io::{self, Cursor};
+use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::{Component, Path, PathBuf};
 use std::rc::Rc;
+use std::sync::Arc;
 
 /// Directories to look in, colon separated, the variable Pixar's default resolver reads.
 const SEARCH_PATH_VARIABLE: &str = "PXR_AR_DEFAULT_SEARCH_PATH";
@@ -19,13 +23,48 @@ const UDIM: &str = "<UDIM>";
 /// First bytes of a binary layer.
 const CRATE_MAGIC: &[u8] = b"PXR-USDC";
 
+/// What a text layer with inherits or specializes has somewhere.
+const CLASS_WORDS: [&str; 2] = ["inherits", "specializes"];
+
 /// Finds and reads files. Remembers what exists: a stage asks for the same file for every prim that uses it.
 pub(super) struct LayerFiles {
     search: Vec<PathBuf>,
     existing: RefCell<HashMap<PathBuf, bool>>,
     packages: RefCell<HashMap<PathBuf, Option<Rc<Package>>>>,
     udims: RefCell<HashMap<String, bool>>,
-    last: RefCell<Option<PathBuf>>,
+    classes: RefCell<ClassArcs>,
+    last: RefCell<Option<(PathBuf, Option<Bytes>)>>,
+}
+
+/// A file's bytes, shared.
+#[derive(Clone)]
+struct Bytes(Arc<Vec<u8>>);
+
+impl AsRef<[u8]> for Bytes {
+    fn as_ref(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+/// A file the crate reads.
+struct LayerAsset(Cursor<Bytes>);
+
+impl Read for LayerAsset {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        self.0.read(into)
+    }
+}
+
+impl Seek for LayerAsset {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.0.seek(to)
+    }
+}
+
+impl Asset for LayerAsset {
+    fn size(&self) -> io::Result<u64> {
+        Ok(self.0.get_ref().0.len() as u64)
+    }
 }
 
 /// The same, as the resolver the crate's stage owns.
@@ -40,13 +79,14 @@ impl LayerFiles {
             existing: RefCell::default(),
             packages: RefCell::default(),
             udims: RefCell::default(),
+            classes: RefCell::default(),
             last: RefCell::default(),
         }
     }
 
     /// The layer whose bytes were asked for last.
     pub(super) fn last_opened(&self) -> Option<PathBuf> {
-        self.last.borrow().clone()
+        self.last.borrow().as_ref().map(|(path, _)| path.clone())
     }
 
     /// Absolute path of the asset `authored` in the layer `identifier`; empty if there is no such file. A path with
@@ -165,13 +205,52 @@ impl LayerFiles {
         found
     }
 
-    fn read(&self, path: &str) -> io::Result<Vec<u8>> {
-        *self.last.borrow_mut() = Some(PathBuf::from(path));
-        if let Some((package, inner)) = ar::split_package_relative_path_outer(path) {
-            let package = Package::open(Path::new(&package))?;
-            return trusted(&inner, package.read(&inner)?);
+    /// The bytes of the file `path`, repaired or checked if it is a layer. The crate opens a layer up to three times in
+    /// a row.
+    fn open(&self, path: &str) -> io::Result<Bytes> {
+        if let Some((last, Some(bytes))) = &*self.last.borrow()
+            && last.as_os_str() == path
+        {
+            return Ok(bytes.clone());
         }
-        trusted(path, std::fs::read(path)?)
+        *self.last.borrow_mut() = Some((PathBuf::from(path), None));
+        let bytes = Bytes(Arc::new(self.read(path)?));
+        *self.last.borrow_mut() = Some((PathBuf::from(path), Some(bytes.clone())));
+        Ok(bytes)
+    }
+
+    fn read(&self, path: &str) -> io::Result<Vec<u8>> {
+        let bytes = match ar::split_package_relative_path_outer(path) {
+            Some((package, inner)) => Package::open(Path::new(&package))?.read(&inner)?,
+            None => std::fs::read(path)?,
+        };
+        if is_package(path) {
+            return Ok(bytes);
+        }
+        if bytes.starts_with(CRATE_MAGIC) {
+            let soundness = crate_check::check(&bytes).map_err(io::Error::other)?;
+            if soundness.has_classes {
+                let data = CrateData::open(Cursor::new(&bytes), true).map_err(io::Error::other)?;
+                self.check_classes(&data)?;
+            }
+            return Ok(bytes);
+        }
+        let text = String::from_utf8(bytes).map_err(io::Error::other)?;
+        let repaired = text::repaired(&text).map_err(io::Error::other)?;
+        let text = repaired.unwrap_or(text);
+        if CLASS_WORDS.iter().any(|word| text.contains(word)) {
+            self.check_classes(&openusd::usda::parse(&text).map_err(io::Error::other)?)?;
+        }
+        Ok(text.into_bytes())
+    }
+
+    /// Layers with inherits or specializes are parsed once more for this: they are few and small, and the crate does
+    /// not survive the bad ones.
+    fn check_classes(&self, layer: &dyn AbstractData) -> io::Result<()> {
+        self.classes
+            .borrow_mut()
+            .add(layer)
+            .map_err(io::Error::other)
     }
 }
 
@@ -194,23 +273,9 @@ impl Resolver for SharedFiles {
     }
 
     fn open_asset(&self, resolved_path: &ResolvedPath) -> io::Result<Box<dyn Asset>> {
-        let bytes = self.0.read(&resolved_path.to_string_lossy())?;
-        Ok(Box::new(Cursor::new(bytes)))
+        let bytes = self.0.open(&resolved_path.to_string_lossy())?;
+        Ok(Box::new(LayerAsset(Cursor::new(bytes))))
     }
-}
-
-/// The bytes of the layer `name`, repaired or checked; other files as they are.
-fn trusted(name: &str, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
-    if is_package(name) {
-        return Ok(bytes);
-    }
-    if bytes.starts_with(CRATE_MAGIC) {
-        crate_check::check(&bytes).map_err(io::Error::other)?;
-        return Ok(bytes);
-    }
-    let text = String::from_utf8(bytes).map_err(io::Error::other)?;
-    let repaired = text::repaired(&text).map_err(io::Error::other)?;
-    Ok(repaired.unwrap_or(text).into_bytes())
 }
 
 fn is_package(path: &str) -> bool {

@@ -4,6 +4,7 @@
 //! crate lets time samples of a weak layer win over the default of a strong one. What the crate reads wrongly without
 //! saying so is repaired ([`text`]) or refused; what it cannot read is an error that names the layer.
 
+mod class_cycles;
 mod complaints;
 mod convert;
 mod crate_check;

@@ -3,6 +3,7 @@
 //! A prim's opinions come from its sites: (layer, path in that layer, time offset), strongest first. Each field is
 //! read from the first site that has it, so that a default in a strong layer hides time samples in a weaker one.
 
+use super::class_cycles::children_run_in_circles;
 use super::convert;
 use super::interpolate::Samples;
 use super::layer_files::LayerFiles;
@@ -48,6 +49,10 @@ impl Sites {
     /// The sites of the prim at `path`.
     pub(super) fn of(stage: &Stage, path: &sdf::Path) -> anyhow::Result<Self> {
         let index = stage.prim_index(path.clone()).graph()?;
+        anyhow::ensure!(
+            !children_run_in_circles(stage, &index, path),
+            "the inherits and specializes that reach <{path}> run in circles below it"
+        );
         let mut sites = Vec::new();
         for node in index.nodes().filter(|node| node.has_specs()) {
             let arc = node.map_to_root().time_offset();

@@ -100,7 +100,7 @@ impl<'a> Scanner<'a> {
                 byte if byte.is_ascii_digit() => self.number(),
                 b'.' if self.peek(1).is_ascii_digit() => self.number(),
                 b'-' | b'+' if self.peek(1).is_ascii_digit() || self.peek(1) == b'.' => {
-                    self.number()
+                    self.number();
                 }
                 byte if is_name(byte) => self.name(),
                 byte => self.punctuation(byte)?,

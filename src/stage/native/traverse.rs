@@ -118,7 +118,7 @@ impl<'a> Traversal<'a> {
     /// Add the prim, if it is to be seen, and return its children.
     fn visit(&mut self, next: &Pending) -> Result<Vec<Pending>, Fault> {
         let sites = Sites::of(self.stage, &next.path).map_err(|error| Fault {
-            layer: String::new(),
+            layer: self.stage.root_layer().identifier().to_owned(),
             message: format!("{}: {error:#}", next.path),
         })?;
         if !self.is_seen(next, &sites)? {

@@ -136,6 +136,10 @@ impl Source for WorkerSource {
     fn name(&self) -> &'static str {
         "usd-core"
     }
+
+    fn peak_memory_bytes(&self) -> Option<u64> {
+        super::process_peak_memory(self.process_id())
+    }
 }
 
 /// A worker that has imported USD and waits for requests.

@@ -48,6 +48,11 @@ impl Scheme {
         }
     }
 
+    /// Vertices of every refined face.
+    pub(super) fn face_size(self) -> u32 {
+        if self == Self::Loop { 3 } else { 4 }
+    }
+
     fn read(prim: &RawPrim, diagnostics: &Diagnostics) -> Self {
         match token(prim, "subdivisionScheme", "catmullClark") {
             "catmullClark" => Self::CatmullClark,

@@ -1,23 +1,19 @@
-//! Implicit gprims → triangles with vertices on the true surface.
+//! Implicit gprims → triangles with vertices and normals on the true surface.
 //!
-//! Round shapes are cut so that no point of a facet is further than a thousandth of the radius from the surface;
-//! `triangle_faces` number the parts: side 0, bottom 1, top 2; a cube's sides 0–5.
+//! How fine round shapes are cut is [`Solid::facets`]' business; `triangle_faces` number the parts: side 0, bottom 1,
+//! top 2; a cube's sides 0–5.
 
 use super::super::super::raw::RawPrim;
-use super::attributes::{boolean, number, token};
+use super::attributes::boolean;
 use super::primvars::AuthoredPrimvar;
+use super::solids::{Axis, Solid};
 use super::topology::Topology;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Interpolation, Mesh, Normals, Primvar};
 use glam::{DMat3, DVec2, DVec3, Vec3};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Facets around. With half as many from pole to pole a facet's middle lies 2(1 − cos(π/100)) = 0.99e-3 radii deep.
-const AROUND: usize = 100;
-/// Facets along a quarter circle.
-const QUARTER: usize = AROUND / 4;
-
-/// Type names that [`tessellate`] knows.
+/// Type names that [`Gprim::read`] knows.
 pub(super) const TYPES: [&str; 8] = [
     "Cube",
     "Sphere",
@@ -29,95 +25,68 @@ pub(super) const TYPES: [&str; 8] = [
     "Plane",
 ];
 
-/// The gprim in object space with those of the primvars called `names` that it or (constant) `inherited` prims author
-/// as one value. `None`, with a warning, when a size is not a positive number.
-pub(super) fn tessellate(
-    prim: &RawPrim,
-    inherited: &[(String, &RawPrim)],
-    names: &[String],
-    diagnostics: &Diagnostics,
-) -> Option<Mesh> {
-    let mut shape = Shape::default();
-    let closed = match build(prim, &mut shape) {
-        Some(closed) if !shape.triangles.is_empty() => closed,
-        _ => {
+/// An implicit gprim as authored.
+#[derive(Debug)]
+pub(super) struct Gprim {
+    type_name: String,
+    pub(super) solid: Solid,
+    primvars: Vec<Primvar>,
+    double_sided: bool,
+}
+
+impl Gprim {
+    /// `prim` with those of the primvars called `names` that it or (constant) `inherited` prims author as one value.
+    /// `None`, with a warning, when a size is not a positive number.
+    pub(super) fn read(
+        prim: &RawPrim,
+        inherited: &[(String, &RawPrim)],
+        names: &[String],
+        diagnostics: &Diagnostics,
+    ) -> Option<Self> {
+        let Some(solid) = Solid::read(prim) else {
             diagnostics.warn(
                 "degenerate-gprim",
                 prim.path.clone(),
                 "a size is not a positive number; it is left out",
             );
             return None;
-        }
-    };
-    let is_plane = prim.type_name == "Plane";
-    Some(Mesh {
-        positions: shape.positions,
-        triangles: shape.triangles,
-        triangle_faces: shape.parts,
-        normals: Normals::Vertex(shape.normals),
-        primvars: constants(prim, inherited, names, diagnostics),
-        double_sided: boolean(prim, "doubleSided", is_plane),
-        closed,
-        cage: None,
-        scheme: prim.type_name.clone(),
-    })
-}
-
-/// Fill `shape`; the result says whether it is closed. `None` for sizes that are not positive and finite.
-fn build(prim: &RawPrim, shape: &mut Shape) -> Option<bool> {
-    let size = |name: &str, fallback: f64| {
-        let size = number(prim, name, fallback);
-        (size >= 0.0 && size.is_finite()).then_some(size)
-    };
-    let profile = match prim.type_name.as_str() {
-        "Cube" => {
-            shape.cube(0.5 * size("size", 2.0)?);
-            return Some(true);
-        }
-        "Plane" => {
-            shape.plane(prim, size("width", 2.0)?, size("length", 2.0)?);
-            return Some(false);
-        }
-        "Sphere" => capsule(size("radius", 1.0)?, size("radius", 1.0)?, 0.0),
-        "Capsule" => capsule(
-            size("radius", 0.5)?,
-            size("radius", 0.5)?,
-            size("height", 1.0)?,
-        ),
-        "Capsule_1" => capsule(
-            size("radiusBottom", 0.5)?,
-            size("radiusTop", 0.5)?,
-            size("height", 1.0)?,
-        ),
-        "Cylinder" => frustum(
-            size("radius", 1.0)?,
-            size("radius", 1.0)?,
-            size("height", 2.0)?,
-        ),
-        "Cylinder_1" => frustum(
-            size("radiusBottom", 1.0)?,
-            size("radiusTop", 1.0)?,
-            size("height", 2.0)?,
-        ),
-        "Cone" => frustum(size("radius", 1.0)?, 0.0, size("height", 2.0)?),
-        _ => return None,
-    };
-    let axes = match prim.type_name.as_str() {
-        "Sphere" => DMat3::IDENTITY,
-        _ => axes(token(prim, "axis", "Z")),
-    };
-    for part in profile {
-        shape.revolve(&part, axes);
+        };
+        let is_plane = matches!(solid, Solid::Plane { .. });
+        Some(Self {
+            type_name: prim.type_name.clone(),
+            solid,
+            primvars: constants(prim, inherited, names, diagnostics),
+            double_sided: boolean(prim, "doubleSided", is_plane),
+        })
     }
-    Some(true)
-}
 
-/// Columns: the two directions across and the spine, right-handed.
-fn axes(spine: &str) -> DMat3 {
-    match spine {
-        "X" => DMat3::from_cols(DVec3::Y, DVec3::Z, DVec3::X),
-        "Y" => DMat3::from_cols(DVec3::Z, DVec3::X, DVec3::Y),
-        _ => DMat3::IDENTITY,
+    /// Equal for gprims that [`Self::tessellate`] makes equal meshes of.
+    pub(super) fn key(&self, facets: usize) -> String {
+        let Self {
+            type_name,
+            solid,
+            primvars,
+            double_sided,
+        } = self;
+        // Debug prints floats with all the digits that tell them apart.
+        format!("{type_name} {solid:?} {facets} {double_sided} {primvars:?}")
+    }
+
+    /// The mesh in object space, with `facets` (a multiple of 4) around where it is round.
+    pub(super) fn tessellate(self, facets: usize) -> Mesh {
+        let mut shape = Shape::default();
+        shape.add(&self.solid, facets);
+        Mesh {
+            positions: shape.positions,
+            triangles: shape.triangles,
+            triangle_faces: shape.parts,
+            normals: Normals::Vertex(shape.normals),
+            primvars: self.primvars,
+            double_sided: self.double_sided,
+            closed: !matches!(self.solid, Solid::Plane { .. }),
+            cage: None,
+            scheme: self.type_name,
+        }
     }
 }
 
@@ -129,23 +98,23 @@ struct Stretch {
 
 /// Two half spheres around a spine of length `height`, smooth all along. With different radii the half spheres
 /// stay half spheres, as in the schema, and the side between them is a cone.
-fn capsule(bottom: f64, top: f64, height: f64) -> Vec<Stretch> {
+fn capsule(bottom: f64, top: f64, height: f64, quarter: usize) -> Vec<Stretch> {
     let arc = |radius: f64, center: f64, quarters: std::ops::RangeInclusive<usize>| {
         quarters.map(move |i| {
-            let angle = FRAC_PI_2 * (as_f64(i) / as_f64(QUARTER) - 1.0);
+            let angle = FRAC_PI_2 * (as_f64(i) / as_f64(quarter) - 1.0);
             let direction = DVec2::new(angle.cos().max(0.0), angle.sin());
             // Exactly on the axis: the poles are single points.
             let direction = match i {
                 0 => DVec2::NEG_Y,
-                i if i == 2 * QUARTER => DVec2::Y,
+                i if i == 2 * quarter => DVec2::Y,
                 _ => direction,
             };
             (radius * direction + DVec2::new(0.0, center), direction)
         })
     };
-    let lower = arc(bottom, -0.5 * height, 0..=QUARTER);
-    let upper_start = if height > 0.0 { QUARTER } else { QUARTER + 1 };
-    let upper = arc(top, 0.5 * height, upper_start..=2 * QUARTER);
+    let lower = arc(bottom, -0.5 * height, 0..=quarter);
+    let upper_start = if height > 0.0 { quarter } else { quarter + 1 };
+    let upper = arc(top, 0.5 * height, upper_start..=2 * quarter);
     if bottom == top {
         let points = lower.chain(upper).collect();
         return vec![Stretch { part: 0, points }];
@@ -158,7 +127,7 @@ fn capsule(bottom: f64, top: f64, height: f64) -> Vec<Stretch> {
     });
     side.push(Stretch {
         part: 2,
-        points: arc(top, 0.5 * height, QUARTER..=2 * QUARTER).collect(),
+        points: arc(top, 0.5 * height, quarter..=2 * quarter).collect(),
     });
     side
 }
@@ -198,6 +167,33 @@ struct Shape {
 }
 
 impl Shape {
+    fn add(&mut self, solid: &Solid, facets: usize) {
+        match *solid {
+            Solid::Cube(half) => self.cube(half),
+            Solid::Plane {
+                width,
+                length,
+                axis,
+            } => self.plane(axis, width, length),
+            Solid::Round {
+                bottom,
+                top,
+                height,
+                has_domes,
+                axis,
+            } => {
+                let outline = if has_domes {
+                    capsule(bottom, top, height, facets / 4)
+                } else {
+                    frustum(bottom, top, height)
+                };
+                for stretch in outline {
+                    self.revolve(&stretch, axis.frame(), facets);
+                }
+            }
+        }
+    }
+
     fn vertex(&mut self, position: DVec3, normal: DVec3) -> u32 {
         self.positions.push(position.as_vec3());
         self.normals.push(normal.as_vec3());
@@ -210,9 +206,6 @@ impl Shape {
     }
 
     fn cube(&mut self, half: f64) {
-        if half == 0.0 {
-            return;
-        }
         let directions = [
             (DVec3::X, DVec3::Y),
             (DVec3::Y, DVec3::Z),
@@ -232,14 +225,11 @@ impl Shape {
         }
     }
 
-    fn plane(&mut self, prim: &RawPrim, width: f64, length: f64) {
-        if width == 0.0 || length == 0.0 {
-            return;
-        }
-        let (normal, along_width, along_length) = match token(prim, "axis", "Z") {
-            "X" => (DVec3::X, DVec3::Z, DVec3::Y),
-            "Y" => (DVec3::Y, DVec3::X, DVec3::Z),
-            _ => (DVec3::Z, DVec3::X, DVec3::Y),
+    fn plane(&mut self, axis: Axis, width: f64, length: f64) {
+        let (normal, along_width, along_length) = match axis {
+            Axis::X => (DVec3::X, DVec3::Z, DVec3::Y),
+            Axis::Y => (DVec3::Y, DVec3::X, DVec3::Z),
+            Axis::Z => (DVec3::Z, DVec3::X, DVec3::Y),
         };
         let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)];
         let mut corners = corners.map(|(u, v)| {
@@ -254,14 +244,14 @@ impl Shape {
 
     /// Turn a stretch around the spine. Rings of radius 0 are one vertex each facet, so that their normals can lean
     /// its way (a cone's tip).
-    fn revolve(&mut self, stretch: &Stretch, axes: DMat3) {
+    fn revolve(&mut self, stretch: &Stretch, axes: DMat3, facets: usize) {
         let ring_count = stretch.points.len();
         let mut rings: Vec<Vec<u32>> = Vec::with_capacity(ring_count);
         for &(point, normal) in &stretch.points {
             let is_pole = point.x == 0.0;
             let offset = if is_pole { 0.5 } else { 0.0 };
-            let ring = (0..AROUND).map(|i| {
-                let (sine, cosine) = (TAU * (as_f64(i) + offset) / as_f64(AROUND)).sin_cos();
+            let ring = (0..facets).map(|i| {
+                let (sine, cosine) = (TAU * (as_f64(i) + offset) / as_f64(facets)).sin_cos();
                 let turn = |p: DVec2| axes * DVec3::new(p.x * cosine, p.x * sine, p.y);
                 self.vertex(turn(point), turn(normal))
             });
@@ -329,9 +319,12 @@ fn as_f64(count: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::super::super::super::raw::Value;
-    use super::super::tests::with_attribute;
+    use super::super::tests::{prim, with_attribute};
     use super::*;
     use std::f64::consts::PI;
+
+    /// What shapes that fill the scene get.
+    const FINEST: usize = 100;
 
     fn gprim(type_name: &str, sizes: &[(&str, f64)], axis: &str) -> Mesh {
         let mut prim = RawPrim {
@@ -343,7 +336,8 @@ mod tests {
             prim = with_attribute(prim, name, Value::Float(size), None);
         }
         prim = with_attribute(prim, "axis", Value::Token(axis.into()), None);
-        tessellate(&prim, &[], &[], &Diagnostics::default()).unwrap()
+        let gprim = Gprim::read(&prim, &[], &[], &Diagnostics::default()).unwrap();
+        gprim.tessellate(FINEST)
     }
 
     /// Area, enclosed volume, and the least cosine between a triangle's plane normal and its corners' normals.
@@ -414,16 +408,31 @@ mod tests {
     }
 
     #[test]
-    fn no_point_of_a_sphere_is_deeper_than_a_thousandth_and_vertices_lie_on_it() {
-        let sphere = gprim("Sphere", &[], "Z");
-        let off = sphere.positions.iter().map(|p| (p.length() - 1.0).abs());
-        assert!(off.fold(0.0, f32::max) < 1e-6);
-        let deepest = (0..sphere.triangles.len()).map(|t| {
-            let [a, b, c] = sphere.corners(t);
-            [a + b, b + c, c + a].map(|p| 1.0 - 0.5 * p.length())
-        });
-        let deepest = deepest.flatten().fold(0.0, f32::max);
-        assert!(deepest < 1.001e-3, "{deepest}");
+    fn spheres_are_as_deep_as_asked_with_vertices_and_normals_on_the_true_surface() {
+        for (facets, error) in [(FINEST, 1e-3), (32, 1e-2)] {
+            let sphere = Gprim {
+                type_name: "Sphere".into(),
+                solid: Solid::read(&prim("/s", "Sphere", None)).unwrap(),
+                primvars: Vec::new(),
+                double_sided: false,
+            };
+            let sphere = sphere.tessellate(facets);
+            let off = sphere.positions.iter().map(|p| (p.length() - 1.0).abs());
+            assert!(off.fold(0.0, f32::max) < 1e-6);
+            let deepest = (0..sphere.triangles.len()).map(|t| {
+                let [a, b, c] = sphere.corners(t);
+                [a + b, b + c, c + a].map(|p| 1.0 - 0.5 * p.length())
+            });
+            let deepest = deepest.flatten().fold(0.0, f32::max);
+            assert!(deepest < 1.001 * error, "{deepest} with {facets}");
+            let Normals::Vertex(normals) = &sphere.normals else {
+                unreachable!("gprims have vertex normals")
+            };
+            // The poles' normals lean nowhere either.
+            for (position, normal) in sphere.positions.iter().zip(normals) {
+                assert!(position.distance(*normal) < 1e-6);
+            }
+        }
     }
 
     #[test]
@@ -450,7 +459,7 @@ mod tests {
             };
             let prim = with_attribute(prim, "radius", Value::Float(radius), None);
             let diagnostics = Diagnostics::default();
-            assert!(tessellate(&prim, &[], &[], &diagnostics).is_none());
+            assert!(Gprim::read(&prim, &[], &[], &diagnostics).is_none());
             assert_eq!(diagnostics.warnings().len(), 1);
         }
     }
@@ -464,7 +473,8 @@ mod tests {
         let color = Value::Vec3Array(vec![Vec3::ONE]);
         let prim = with_attribute(prim, "primvars:displayColor", color, None);
         let names = ["displayColor".to_owned()];
-        let mesh = tessellate(&prim, &[], &names, &Diagnostics::default()).unwrap();
+        let gprim = Gprim::read(&prim, &[], &names, &Diagnostics::default()).unwrap();
+        let mesh = gprim.tessellate(FINEST);
         assert_eq!(mesh.primvars[0].values[0].truncate(), Vec3::ONE);
         assert_eq!(mesh.primvars[0].interpolation, Interpolation::Constant);
     }

@@ -1,5 +1,8 @@
 //! The arrays of a PointInstancer → points with transforms, those of
 //! `UsdGeomPointInstancer::ComputeInstanceTransformsAtTime` without the prototypes' own.
+//!
+//! A limit: `inactiveIds` is prim metadata that the doors do not deliver; points that it deactivates are drawn. What
+//! `invisibleIds` hides is hidden.
 
 use super::super::super::raw::RawPrim;
 use super::attributes::{ints, long_ints, quaternions, vectors};

@@ -38,6 +38,7 @@ pub(super) struct LevelData<'a> {
 }
 
 /// Faces around a vertex between two sharp edges, in order of rotation.
+#[derive(Default)]
 struct Sector {
     faces: Vec<usize>,
     /// The faces go all the way around (no sharp edge ends them).
@@ -48,9 +49,12 @@ impl SectorNormals {
     pub(super) fn of(data: &LevelData) -> Self {
         let corner_count = data.level.num_faces() * data.face_size;
         let mut result = Self {
+            normals: Vec::with_capacity(data.level.num_vertices()),
             sector_of_corner: vec![u32::MAX; corner_count],
-            ..Self::default()
+            vertex_of_sector: Vec::with_capacity(data.level.num_vertices()),
         };
+        // One for all: an allocation a vertex costs more than its tangents.
+        let mut sector = Sector::default();
         for vertex in 0..data.level.num_vertices() {
             let faces = data.level.vertex_faces(vertex);
             for &face in faces {
@@ -59,21 +63,21 @@ impl SectorNormals {
                 if result.sector_of_corner[slot] != u32::MAX || !data.is_drawn[face as usize] {
                     continue;
                 }
-                result.add_sector(data, vertex, face as usize);
+                data.find_sector(vertex, face as usize, &mut sector);
+                result.add_sector(data, vertex, &sector);
             }
         }
         result
     }
 
-    fn add_sector(&mut self, data: &LevelData, vertex: usize, seed: usize) {
-        let sector = data.sector(vertex, seed);
+    fn add_sector(&mut self, data: &LevelData, vertex: usize, sector: &Sector) {
         let index = u32::try_from(self.normals.len()).expect("fewer sectors than corners");
         for &face in &sector.faces {
             let corner = data.corner_of(face, vertex);
             self.sector_of_corner[face * data.face_size + corner] = index;
         }
-        let normal = data.tangent_normal(vertex, &sector);
-        let normal = normal.unwrap_or_else(|| data.mean_normal(vertex, &sector));
+        let normal = data.tangent_normal(vertex, sector);
+        let normal = normal.unwrap_or_else(|| data.mean_normal(vertex, sector));
         self.normals.push(normal.as_vec3());
         self.vertex_of_sector
             .push(u32::try_from(vertex).expect("opensubdiv-rs numbers vertices in u32"));
@@ -114,8 +118,8 @@ impl LevelData<'_> {
         follows.then_some(other)
     }
 
-    /// The sector of `vertex` that contains face `seed`, counter-clockwise.
-    fn sector(&self, vertex: usize, seed: usize) -> Sector {
+    /// Make `sector` the one of `vertex` that contains face `seed`, counter-clockwise.
+    fn find_sector(&self, vertex: usize, seed: usize, sector: &mut Sector) {
         let mut first = seed;
         // Backwards (clockwise) over leaving edges to the sector's start, or once around.
         while let Some(previous) = self.across(self.edges_at(first, vertex).0, first, vertex) {
@@ -124,21 +128,17 @@ impl LevelData<'_> {
                 break;
             }
         }
-        let mut faces = vec![first];
+        sector.faces.clear();
+        sector.faces.push(first);
+        sector.is_closed = false;
         let mut last = first;
         while let Some(next) = self.across(self.edges_at(last, vertex).1, last, vertex) {
             if next == first {
-                return Sector {
-                    faces,
-                    is_closed: true,
-                };
+                sector.is_closed = true;
+                return;
             }
-            faces.push(next);
+            sector.faces.push(next);
             last = next;
-        }
-        Sector {
-            faces,
-            is_closed: false,
         }
     }
 
@@ -183,8 +183,8 @@ impl LevelData<'_> {
         };
         let normal = across.cross(along).try_normalize()?;
         // The rules fix the plane; which side is front is what the faces say.
-        let mean = self.mean_normal(vertex, sector);
-        Some(if normal.dot(mean) < 0.0 {
+        let front = self.front(vertex, sector);
+        Some(if normal.dot(front) < 0.0 {
             -normal
         } else {
             normal
@@ -282,15 +282,30 @@ impl LevelData<'_> {
         (across, along)
     }
 
+    /// From the limit of `vertex` to those of the next and the previous vertex of `face`.
+    fn sides(&self, vertex: usize, face: usize) -> (DVec3, DVec3) {
+        let at = |i: u32| DVec3::from_array(self.limit[i as usize]);
+        let points = self.level.face_vertices(face);
+        let corner = self.corner_of(face, vertex);
+        let center = at(points[corner]);
+        let next = at(points[(corner + 1) % self.face_size]) - center;
+        let previous = at(points[(corner + self.face_size - 1) % self.face_size]) - center;
+        (next, previous)
+    }
+
+    /// Any vector on the front side of the sector's faces as a whole.
+    fn front(&self, vertex: usize, sector: &Sector) -> DVec3 {
+        let faces = sector.faces.iter().map(|&face| {
+            let (next, previous) = self.sides(vertex, face);
+            next.cross(previous)
+        });
+        faces.sum()
+    }
+
     /// Angle-weighted mean of the sector's face normals at the limit positions.
     fn mean_normal(&self, vertex: usize, sector: &Sector) -> DVec3 {
-        let at = |i: u32| DVec3::from_array(self.limit[i as usize]);
         let faces = sector.faces.iter().map(|&face| {
-            let points = self.level.face_vertices(face);
-            let corner = self.corner_of(face, vertex);
-            let center = at(points[corner]);
-            let next = at(points[(corner + 1) % self.face_size]) - center;
-            let previous = at(points[(corner + self.face_size - 1) % self.face_size]) - center;
+            let (next, previous) = self.sides(vertex, face);
             let normal = next.cross(previous);
             normal.normalize_or_zero() * normal.length().atan2(next.dot(previous))
         });

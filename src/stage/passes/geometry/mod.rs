@@ -9,6 +9,7 @@
 
 mod attributes;
 mod authored;
+mod draw_modes;
 mod gprims;
 mod instancer;
 mod limit_normals;
@@ -16,6 +17,7 @@ mod normals;
 mod placement;
 mod primvars;
 mod refinement;
+mod solids;
 mod subdivision;
 mod topology;
 mod triangulate;
@@ -29,6 +31,7 @@ use crate::diagnostics::Diagnostics;
 use crate::scene::{FaceMaterials, MaterialId, Mesh, MeshId, Prim, PrimSource};
 use authored::{AuthoredMesh, Scheme, local_origin};
 use glam::{Affine3A, DAffine3, DMat4, DVec3};
+use gprims::Gprim;
 use placement::{Kind, Placement};
 use primvars::AuthoredPrimvar;
 use rayon::prelude::*;
@@ -99,8 +102,9 @@ impl Layout<'_> {
         diagnostics: &Diagnostics,
     ) -> Result<(Vec<Mesh>, Vec<Prim>), Error> {
         let names = kept_primvars(look);
-        let geometries = self.geometries(&names);
-        let sources = read_all(&geometries, &names, diagnostics)?;
+        let mut geometries = self.geometries(&names);
+        let mut sources = read_all(&geometries, &names, diagnostics)?;
+        self.share_gprims(&mut geometries, &mut sources);
         let levels = refinement::levels(&self.demands(&geometries, &sources), diagnostics);
         diagnostics.check()?;
         let made: Vec<Option<(Mesh, DVec3)>> = sources
@@ -136,22 +140,53 @@ impl Layout<'_> {
         geometries
     }
 
+    /// Length of the diagonal of what is drawn; 0 when nothing is.
+    fn diagonal(&self) -> f64 {
+        let (min, max) = self.bounds;
+        (max - min).max(DVec3::ZERO).length()
+    }
+
+    /// That of the largest occurrence.
+    fn scale_of(&self, geometry: &Geometry) -> f64 {
+        let uses = geometry.uses.iter();
+        uses.map(|&i| world::greatest_scale(self.placements[i].world_from_object))
+            .fold(0.0, f64::max)
+    }
+
+    /// Cut every gprim as its largest occurrence asks, and draw those that come out equal with one mesh: the first
+    /// gets the uses of the others. Flattened ones stay alone, since a shared mesh cannot be flattened.
+    fn share_gprims(&self, geometries: &mut [Geometry], sources: &mut [Source]) {
+        let mut first: HashMap<String, usize> = HashMap::new();
+        for index in 0..sources.len() {
+            let Source::Gprim(gprim, facets) = &mut sources[index] else {
+                continue;
+            };
+            let geometry = &geometries[index];
+            *facets = gprim.solid.facets(self.scale_of(geometry), self.diagonal());
+            let mut uses = geometry.uses.iter();
+            if uses.any(|&i| world::is_singular(self.placements[i].world_from_object)) {
+                continue;
+            }
+            let owner = *first.entry(gprim.key(*facets)).or_insert(index);
+            if owner != index {
+                let uses = std::mem::take(&mut geometries[index].uses);
+                geometries[owner].uses.extend(uses);
+                sources[index] = Source::Nothing;
+            }
+        }
+    }
+
     fn demands<'b>(
         &self,
         geometries: &'b [Geometry<'b>],
         sources: &'b [Source<'b>],
     ) -> Vec<refinement::Demand<'b>> {
         let asked = self.settings.refine_edge.map(f64::from);
-        let target = asked.unwrap_or_else(|| refinement::default_edge(self.bounds));
-        let scale = |geometry: &Geometry| {
-            let uses = geometry.uses.iter();
-            uses.map(|&i| world::greatest_scale(self.placements[i].world_from_object))
-                .fold(0.0, f64::max)
-        };
+        let target = asked.unwrap_or_else(|| refinement::default_edge(self.diagonal()));
         let all = geometries.iter().zip(sources);
         all.map(|(geometry, source)| match source {
             Source::Mesh(mesh) if mesh.scheme != Scheme::None => {
-                refinement::Demand::Refined(mesh, target / scale(geometry))
+                refinement::Demand::Refined(mesh, target / self.scale_of(geometry))
             }
             _ => refinement::Demand::None,
         })
@@ -260,22 +295,23 @@ fn kept_primvars(look: &Look) -> Vec<String> {
 /// A geometry read and checked.
 enum Source<'a> {
     Mesh(Box<AuthoredMesh<'a>>),
-    Gprim(Box<Mesh>),
+    /// With its facets around; 0 until [`Layout::share_gprims`] has chosen.
+    Gprim(Box<Gprim>, usize),
     Nothing,
 }
 
 fn read_all<'a>(
-    geometries: &'a [Geometry<'a>],
+    geometries: &[Geometry<'a>],
     names: &[String],
     diagnostics: &Diagnostics,
 ) -> Result<Vec<Source<'a>>, Error> {
-    let read = |geometry: &'a Geometry<'a>| {
+    let read = |geometry: &Geometry<'a>| {
         let inherited = &geometry.inherited;
         Ok(match Kind::of(geometry.prim) {
             Kind::Mesh => AuthoredMesh::read(geometry.prim, inherited, names, diagnostics)?
                 .map_or(Source::Nothing, |mesh| Source::Mesh(Box::new(mesh))),
-            _ => gprims::tessellate(geometry.prim, inherited, names, diagnostics)
-                .map_or(Source::Nothing, |mesh| Source::Gprim(Box::new(mesh))),
+            _ => Gprim::read(geometry.prim, inherited, names, diagnostics)
+                .map_or(Source::Nothing, |gprim| Source::Gprim(Box::new(gprim), 0)),
         })
     };
     // Collected whole first: the error reported is the first in stage order for any thread count.
@@ -289,7 +325,7 @@ fn make(source: Source, level: usize, diagnostics: &Diagnostics) -> Option<(Mesh
     }
     match source {
         Source::Nothing => None,
-        Source::Gprim(mesh) => Some((*mesh, DVec3::ZERO)),
+        Source::Gprim(gprim, facets) => Some((gprim.tessellate(facets), DVec3::ZERO)),
         Source::Mesh(mesh) if mesh.scheme == Scheme::None => {
             Some((mesh.as_polygons(diagnostics), mesh.center))
         }
@@ -444,7 +480,7 @@ mod tests {
         with_attribute(prim, name, Value::Token(word.to_owned()), None)
     }
 
-    fn prim(path: &str, type_name: &str, parent: Option<usize>) -> RawPrim {
+    pub(super) fn prim(path: &str, type_name: &str, parent: Option<usize>) -> RawPrim {
         RawPrim {
             path: path.to_owned(),
             type_name: type_name.to_owned(),
@@ -890,6 +926,34 @@ mod tests {
     }
 
     #[test]
+    fn skinning_is_named_where_a_skeleton_is_bound_with_or_without_the_api() {
+        let skeleton = |mut prim: RawPrim| {
+            let targets = vec!["/r/skel".to_owned()];
+            let relationship = RawRelationship {
+                targets,
+                bind_material_as: None,
+            };
+            prim.relationships
+                .insert("skel:skeleton".to_owned(), relationship);
+            prim
+        };
+        let inherited = vec![
+            skeleton(prim("/r", "SkelRoot", None)),
+            prim("/r/g", "Xform", Some(0)),
+            under(triangle("/r/g/t"), 1),
+        ];
+        assert_eq!(
+            build_all(inherited.clone()).warnings,
+            ["unsupported-skinning"]
+        );
+        let mut outside = inherited;
+        outside[0].type_name = "Xform".to_owned();
+        assert!(build_all(outside.clone()).warnings.is_empty());
+        outside[2].api_schemas.push("SkelBindingAPI".to_owned());
+        assert_eq!(build_all(outside).warnings, ["unsupported-skinning"]);
+    }
+
+    #[test]
     fn types_that_cannot_be_drawn_are_named() {
         let built = build_all(vec![
             prim("/hair", "BasisCurves", None),
@@ -904,6 +968,36 @@ mod tests {
         let built = build_all(vec![transformed(triangle("/m"), flat)]);
         assert_eq!(built.prims.len(), 1);
         assert_eq!(built.meshes[0].plane_normal(0), Vec3::Z);
+    }
+
+    #[test]
+    fn equal_gprims_of_like_size_share_a_mesh() {
+        let sphere = |path: &str, radius: f64, scale: f64, x: f64| {
+            let matrix =
+                DMat4::from_translation(DVec3::X * x) * DMat4::from_scale(DVec3::splat(scale));
+            let made = transformed(prim(path, "Sphere", None), matrix);
+            with_attribute(made, "radius", Value::Float(radius), None)
+        };
+        let flat = transformed(
+            prim("/flat", "Sphere", None),
+            DMat4::from_scale(DVec3::new(1.0, 1.0, 0.0)),
+        );
+        let built = build_all(vec![
+            sphere("/big", 1.0, 1.0, 0.0),
+            sphere("/small", 1.0, 0.01, 2.0),
+            sphere("/pebble", 0.5, 0.02, 3.0),
+            sphere("/again", 1.0, 0.02, 4.0),
+            sphere("/big2", 1.0, 0.95, 6.0),
+            flat,
+        ]);
+        let of: Vec<_> = built.prims.iter().map(|p| p.mesh.index()).collect();
+        assert_eq!(of, [0, 1, 2, 1, 0, 3]);
+        let triangles: Vec<_> = built.meshes.iter().map(|m| m.triangles.len()).collect();
+        // 100 around and 50 from pole to pole; 32 and 16 for those of a hundredth of the scene.
+        assert_eq!(triangles[..3], [9_800, 960, 960]);
+        assert!(built.warnings.is_empty(), "{:?}", built.warnings);
+        let again = &built.prims[3].world_from_object;
+        assert_eq!(again.transform_point3(Vec3::X), Vec3::new(4.02, 0.0, 0.0));
     }
 
     #[test]

@@ -8,6 +8,7 @@ use super::super::super::ReadSettings;
 use super::super::super::raw::{RawPrim, RawStage};
 use super::super::flatten::{Occurrence, authored_purpose, is_invisible};
 use super::super::xform;
+use super::draw_modes;
 use super::gprims;
 use super::instancer::{self, Point};
 use crate::diagnostics::Diagnostics;
@@ -80,6 +81,7 @@ pub(super) fn placements(
         by_path: None,
         open_instancers: HashSet::new(),
     };
+    draw_modes::warn(raw, occurrences, diagnostics);
     let mut placed = Vec::new();
     let mut next = 0;
     while let Some(occurrence) = occurrences.get(next) {
@@ -106,6 +108,29 @@ pub(super) fn placements(
         };
     }
     placed
+}
+
+/// True if the prim names what skins it, or lies inside a SkelRoot where it or an ancestor binds a skeleton (with or
+/// without `SkelBindingAPI` applied: renderers differ, so the pose is in doubt either way).
+fn is_skinned(raw: &RawStage, occurrences: &[Occurrence], occurrence: usize) -> bool {
+    let prim = |at: usize| &raw.prims[occurrences[at].prim];
+    let has_api = |prim: &RawPrim| prim.api_schemas.iter().any(|api| api == "SkelBindingAPI");
+    if has_api(prim(occurrence)) {
+        return true;
+    }
+    let binds = |prim: &RawPrim| {
+        let skeleton = prim.relationships.get("skel:skeleton");
+        skeleton.is_some_and(|skeleton| !skeleton.targets.is_empty())
+    };
+    let line = std::iter::successors(Some(occurrence), |&at| occurrences[at].parent);
+    let mut is_bound = false;
+    for at in line {
+        is_bound |= binds(prim(at));
+        if prim(at).type_name == "SkelRoot" {
+            return is_bound;
+        }
+    }
+    false
 }
 
 /// Index behind the last descendant of every occurrence.
@@ -166,8 +191,7 @@ impl<'a> Walk<'a> {
     }
 
     fn warn_of_what_is_not_applied(&self, occurrence: usize) {
-        let prim = self.prim(occurrence);
-        if prim.api_schemas.iter().any(|api| api == "SkelBindingAPI") {
+        if is_skinned(self.raw, self.occurrences, occurrence) {
             self.warn(
                 "unsupported-skinning",
                 occurrence,

@@ -1,20 +1,23 @@
 //! How often every subdivision mesh is refined.
 //!
-//! Wanted: refined edges no longer than asked, at least one level, at most [`MAX_LEVEL`], and enough levels for the
-//! sharpest finite crease. Where the scene's sum goes beyond [`FACE_BUDGET`] the asked edge is doubled until it fits
-//! or every mesh is at its least level; creases are followed only as far as a mesh alone stays in the budget.
+//! Wanted: refined edges no longer than asked, at most [`MAX_LEVEL`] levels, and enough of them for the sharpest finite
+//! crease. A cage whose edges are short enough is not refined at all: its faces carry limit positions and normals, if
+//! they are what the scheme refines into (quads, or triangles for Loop). Where the scene's sum goes beyond
+//! [`FACE_BUDGET`] the asked edge is doubled until it fits or every mesh is at its least level; creases are followed
+//! only as far as a mesh alone stays in the budget.
 
 use super::authored::{AuthoredMesh, Scheme};
 use super::subdivision::sharpness_levels;
 use crate::diagnostics::Diagnostics;
-use glam::DVec3;
 
 /// Most levels: 256 faces for each of the cage.
 const MAX_LEVEL: usize = 4;
-/// Refined faces over all meshes of a scene: about 0.5 GB while refining and 2 to 4 s (CRATES.md §2).
-const FACE_BUDGET: u64 = 2_000_000;
-/// Edge asked for by default, as a part of the scene's diagonal: about 2 pixels of a 1K image that it fills.
-const DEFAULT_EDGE: f64 = 1.0 / 500.0;
+/// Refined faces over all meshes of a scene.
+const FACE_BUDGET: u64 = 1_000_000;
+/// Edge asked for by default, as a part of the scene's diagonal. Where the surface bends with a radius of no less than
+/// an edge, facets with corners on the limit surface are at most an eighth of an edge deep: half a pixel of a 1K image
+/// that the scene fills.
+const DEFAULT_EDGE: f64 = 1.0 / 250.0;
 
 /// What a geometry asks for.
 pub(super) enum Demand<'a> {
@@ -24,12 +27,12 @@ pub(super) enum Demand<'a> {
     Refined(&'a AuthoredMesh<'a>, f64),
 }
 
-/// The edge length asked for when the user asks for none; world space. 0 for an empty scene.
-pub(super) fn default_edge((min, max): (DVec3, DVec3)) -> f64 {
-    DEFAULT_EDGE * (max - min).max(DVec3::ZERO).length()
+/// The edge length asked for when the user asks for none, in a scene of this diagonal; world space.
+pub(super) fn default_edge(diagonal: f64) -> f64 {
+    DEFAULT_EDGE * diagonal
 }
 
-/// Levels of all geometries, 0 for those that are not subdivided.
+/// Levels of all geometries; 0 for those that are not refined or not subdivided.
 pub(super) fn levels(demands: &[Demand], diagnostics: &Diagnostics) -> Vec<usize> {
     let plans: Vec<Option<Plan>> = demands
         .iter()
@@ -52,6 +55,7 @@ pub(super) fn levels(demands: &[Demand], diagnostics: &Diagnostics) -> Vec<usize
 struct Plan {
     wanted: usize,
     least: usize,
+    cage_faces: u64,
     /// Faces after the first level.
     first_faces: u64,
 }
@@ -64,14 +68,15 @@ impl Plan {
         };
         let mut plan = Self {
             wanted: levels_for(longest_edge(mesh) / edge),
-            least: 1,
+            least: least_level(mesh),
+            cage_faces: mesh.topology.counts.len() as u64,
             first_faces,
         };
         let needed = sharpness_levels(mesh.prim);
-        plan.least = (1..=needed.clamp(1, MAX_LEVEL))
+        plan.least = (plan.least..=needed.clamp(plan.least, MAX_LEVEL))
             .rev()
-            .find(|&level| level == 1 || plan.faces(level) <= FACE_BUDGET)
-            .unwrap_or(1);
+            .find(|&level| plan.faces(level) <= FACE_BUDGET)
+            .unwrap_or(plan.least);
         if plan.least < needed {
             diagnostics.warn(
                 "sharp-crease",
@@ -89,14 +94,25 @@ impl Plan {
     }
 
     fn faces(&self, level: usize) -> u64 {
-        self.first_faces << (2 * (level - 1))
+        match level {
+            0 => self.cage_faces,
+            _ => self.first_faces << (2 * (level - 1)),
+        }
     }
 }
 
-/// Halvings until `ratio` is at most 1; at least one, also for a mesh without size.
+/// 0 where the limit can be taken on the cage itself: all its faces are what the scheme refines into. (The limit rules
+/// hold for no others.)
+fn least_level(mesh: &AuthoredMesh) -> usize {
+    let size = mesh.scheme.face_size();
+    let is_plain = mesh.topology.counts.iter().all(|&count| count == size);
+    usize::from(!is_plain)
+}
+
+/// Halvings until `ratio` is at most 1; none where it is not a number (a mesh without size).
 fn levels_for(ratio: f64) -> usize {
     let is_long = |level: usize| ratio / f64::from(1_u32 << level) > 1.0;
-    (1..MAX_LEVEL)
+    (0..MAX_LEVEL)
         .find(|&level| !is_long(level))
         .unwrap_or(MAX_LEVEL)
 }
@@ -149,18 +165,27 @@ mod tests {
     #[test]
     fn edges_are_halved_until_they_are_short_enough_within_bounds() {
         let strip = strip(3);
-        for (edge, expected) in [(2.0, 1), (0.5, 1), (0.26, 2), (0.25, 2), (0.1, 4), (0.0, 4)] {
+        for (edge, expected) in [
+            (2.0, 0),
+            (1.0, 0),
+            (0.5, 1),
+            (0.26, 2),
+            (0.25, 2),
+            (0.1, 4),
+            (0.0, 4),
+        ] {
             assert_eq!(level(&strip, &[edge]), (vec![expected], 0), "edge {edge}");
         }
     }
 
     #[test]
     fn a_scene_beyond_the_budget_is_refined_less_everywhere() {
-        // 40 000 faces at level 4 are 10 M, at level 3 2.56 M, at level 2 640 k; four meshes of them 2.56 M.
+        // 40 000 faces at level 4 are 10 M, at level 3 2.56 M, at level 2 640 k; seven meshes of them 280 k.
         let strip = strip(40_000);
         assert_eq!(level(&strip, &[0.01]).0, [2]);
         assert_eq!(level(&strip, &[0.01; 4]).0, [1; 4]);
-        assert_eq!(level(&strip, &[0.01, 1.0]).0, [2, 1]);
+        assert_eq!(level(&strip, &[0.01; 7]).0, [0; 7]);
+        assert_eq!(level(&strip, &[0.01, 1.0]).0, [2, 0]);
     }
 
     #[test]
@@ -172,14 +197,23 @@ mod tests {
             with_attribute(prim, "creaseSharpnesses", sharpness, None)
         };
         assert_eq!(level(&creased(3, 2.5), &[2.0]), (vec![3], 0));
+        assert_eq!(level(&creased(3, 10.0), &[2.0]), (vec![0], 0));
         assert_eq!(level(&creased(3, 7.0), &[2.0]), (vec![4], 1));
         assert_eq!(level(&creased(40_000, 3.0), &[2.0]), (vec![2], 1));
+    }
+
+    #[test]
+    fn faces_that_are_not_the_schemes_own_are_refined_once() {
+        let triangle = mesh("/m", &[Vec3::ZERO, Vec3::X, Vec3::Y], &[3], &[0, 1, 2]);
+        let scheme = |word: &str| with_token(triangle.clone(), "subdivisionScheme", word);
+        assert_eq!(level(&scheme("catmullClark"), &[9.0]).0, [1]);
+        assert_eq!(level(&scheme("bilinear"), &[9.0]).0, [1]);
+        assert_eq!(level(&scheme("loop"), &[9.0]).0, [0]);
     }
 
     #[test]
     fn nothing_to_refine_gives_level_zero() {
         let diagnostics = Diagnostics::default();
         assert_eq!(levels(&[Demand::None], &diagnostics), [0]);
-        assert_eq!(default_edge((DVec3::INFINITY, DVec3::NEG_INFINITY)), 0.0);
     }
 }

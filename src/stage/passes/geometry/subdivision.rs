@@ -25,7 +25,7 @@ use std::collections::HashSet;
 /// From here on a crease never smooths (OpenSubdiv's `SHARPNESS_INFINITE`).
 const INFINITE_SHARPNESS: f32 = 10.0;
 
-/// Refine `mesh` `level` (1 or more) times. Topology that cannot be subdivided (a face that uses a point twice, Loop
+/// Refine `mesh` `level` times; 0 only if all its faces are of the size that the scheme refines into. Topology that cannot be subdivided (a face that uses a point twice, Loop
 /// with other faces than triangles) gives a warning and the mesh as polygons.
 pub(super) fn subdivide(mesh: &AuthoredMesh, level: usize, diagnostics: &Diagnostics) -> Mesh {
     match Refined::new(mesh, level, diagnostics) {
@@ -84,7 +84,7 @@ impl<'a> Refined<'a> {
             faces,
             position_of_vertex,
             position_count: position_count.max(mesh.topology.point_count),
-            face_size: if mesh.scheme == Scheme::Loop { 3 } else { 4 },
+            face_size: mesh.scheme.face_size() as usize,
             refiner,
         })
     }
@@ -162,6 +162,13 @@ impl<'a> Refined<'a> {
     fn limit<T: opensubdiv_rs::far::Primvar>(&self, values: &[T]) -> Vec<T> {
         let mut limit = values.to_vec();
         PrimvarRefiner::new(&self.refiner).limit(values, &mut limit);
+        if self.refiner.max_level() == 0 {
+            // The cage may have points that no face uses: they have no limit and stay.
+            let is_unused = |vertex: &usize| self.last().vertex_faces(*vertex).is_empty();
+            for vertex in (0..values.len()).filter(is_unused) {
+                limit[vertex].clone_from(&values[vertex]);
+            }
+        }
         limit
     }
 
@@ -268,14 +275,22 @@ impl<'a> Refined<'a> {
         (normals, points, corners)
     }
 
-    /// The normal of every cage face-vertex is that of the refined face in its corner: child i of a face lies at its
+    /// The normal of every cage face-vertex is that of the refined face in its corner (the face itself at level 0): child i of a face lies at its
     /// corner i, and has that corner first (quads) or in place (triangles).
     fn cage_corner_normals(&self, sectors: &SectorNormals) -> Vec<Vec3> {
         let topology = &self.mesh.topology;
         let mut normals = vec![Vec3::ZERO; topology.indices.len()];
         let mut first_child = 0;
-        for &face in &self.faces {
+        let is_refined = self.refiner.max_level() > 0;
+        for (index, &face) in self.faces.iter().enumerate() {
             for (corner, slot) in topology.corners(face as usize).enumerate() {
+                if !is_refined {
+                    let sector = sectors.sector_of_corner[index * self.face_size + corner];
+                    if let Some(normal) = sectors.normals.get(sector as usize) {
+                        normals[slot] = *normal;
+                    }
+                    continue;
+                }
                 let mut child = first_child + corner;
                 let place = if self.face_size == 3 { corner } else { 0 };
                 for _ in 1..self.refiner.max_level() {
@@ -376,7 +391,7 @@ impl<'a> Refined<'a> {
         let base = arrays(&primvar.values);
         let values = rules.interpolate_face_varying_all(channel, &base).pop();
         let values = values.unwrap_or(base);
-        let mut limit = values.clone();
+        let mut limit = vec![[0.0; 4]; self.last().num_fvar_values(channel)];
         rules.limit_face_varying(channel, &values, &mut limit);
         let last = self.last();
         let at = |corner: u32| {
@@ -413,6 +428,9 @@ fn mean(values: &[[f32; 4]], vertices: &[u32]) -> [f32; 4] {
 fn order_vertices(refiner: &TopologyRefiner, cage_indices: &[u32]) -> (Vec<u32>, usize) {
     let last = refiner.max_level();
     let point_count = refiner.level(0).num_vertices();
+    if last == 0 {
+        return ((0..small(point_count)).collect(), point_count);
+    }
     let mut positions = vec![u32::MAX; refiner.level(last).num_vertices()];
     let mut is_used = vec![false; point_count];
     for &point in cage_indices {
@@ -683,7 +701,7 @@ mod tests {
     /// Halstead et al.: (n² V + 4 Σ E + Σ F) / (n (n + 5)) with n = 3 halves the corners of a cube.
     #[test]
     fn corners_of_a_cube_have_their_limit_at_half_at_every_level() {
-        for level in 1..=3 {
+        for level in 0..=3 {
             let mesh = refine(&cube(), level);
             for corner in 0..8 {
                 let sign = Vec3::from_array(mesh.positions[corner].to_array().map(f32::signum));
@@ -723,6 +741,69 @@ mod tests {
         assert!((middle.z - blend(weights, weights)).abs() < 1e-6);
         let normal = Vec3::new(-blend(slopes, weights), -blend(weights, slopes), 1.0);
         assert!(point_normals(&mesh)[12].distance(normal.normalize()) < 1e-5);
+    }
+
+    /// Limits do not depend on the level they are taken at, so the cage's own must be those of two levels further: with
+    /// holes, a point that no face uses, turned faces, sharp edges and seams.
+    #[test]
+    fn the_cage_alone_has_the_limits_of_its_refinement() {
+        let mut prim = grid(4, |p| (7.0 * p.x + 3.0 * p.y).sin());
+        if let Some(Value::Vec3Array(points)) =
+            &mut prim.attributes.get_mut("points").unwrap().value
+        {
+            points.push(Vec3::splat(9.0));
+        }
+        let prim = with_token(prim, "orientation", "leftHanded");
+        let prim = with_ints(prim, "holeIndices", &[3]);
+        let prim = sharp_edges(prim, &[6, 7, 7, 12], 10.0);
+        let corners: Vec<Vec2> = (0_u8..64)
+            .map(|i| Vec2::new(f32::from(i % 7), f32::from(i / 9)))
+            .collect();
+        let corners = Value::Vec2Array(corners);
+        let prim = with_attribute(prim, "primvars:st", corners, Some("faceVarying"));
+        let vertices = Value::FloatArray((0_u8..26).map(|i| f32::from(i * i % 11)).collect());
+        let prim = with_attribute(prim, "primvars:w", vertices, Some("vertex"));
+        let [cage, fine] = [0, 2].map(|level| refine_with(&prim, level, &["st", "w"]).0);
+        assert_eq!(cage.positions.len(), 26);
+        assert_eq!(cage.triangles.len(), 2 * 15);
+        assert_eq!(cage.positions[25], Vec3::splat(9.0));
+        for point in 0..26 {
+            assert!(
+                cage.positions[point].distance(fine.positions[point]) < 1e-5,
+                "{point}"
+            );
+            let normals = [&cage, &fine].map(|mesh| point_normals(mesh)[point]);
+            assert!(
+                normals[0].distance(normals[1]) < 1e-5,
+                "{point}: {normals:?}"
+            );
+            let values = [&cage, &fine].map(|mesh| mesh.primvar("w").unwrap().values[point]);
+            assert!(values[0].distance(values[1]) < 1e-5, "{point}: {values:?}");
+        }
+        let corner_normals = [&cage, &fine].map(|mesh| &mesh.cage.as_ref().unwrap().corner_normals);
+        assert_eq!(corner_normals[0].len(), 64);
+        for (corner, (a, b)) in corner_normals[0].iter().zip(corner_normals[1]).enumerate() {
+            assert!(a.distance(*b) < 1e-5, "corner {corner}: {a} {b}");
+        }
+        // Every corner of a face as itself has the limit of its seam-bounded patch, like the fine face in it.
+        let at_point = |mesh: &Mesh, face: u32, point: u32| {
+            let st = mesh.primvar("st").unwrap();
+            let faces = mesh.triangles.iter().zip(&mesh.triangle_faces).enumerate();
+            let mut of_face = faces.filter(|(_, (_, f))| **f == face);
+            of_face.find_map(|(t, (triangle, _))| {
+                let corner = triangle.iter().position(|&i| i == point)?;
+                let Interpolation::Corner(corners) = &st.interpolation else {
+                    return None;
+                };
+                Some(st.values[corners[t][corner] as usize])
+            })
+        };
+        for (face, first) in [(0, 0), (5, 6), (15, 18)] {
+            for point in [first, first + 1, first + 6, first + 5] {
+                let [a, b] = [&cage, &fine].map(|mesh| at_point(mesh, face, point).unwrap());
+                assert!(a.distance(b) < 1e-5, "face {face} point {point}: {a} {b}");
+            }
+        }
     }
 
     /// Limit tangents belong to the surface, not to the level they are taken at; and far down the facets themselves

@@ -2,8 +2,9 @@
 
 use super::super::super::raw::RawStage;
 use super::super::flatten::Occurrence;
-use super::attributes::{number, vectors};
+use super::attributes::vectors;
 use super::placement::{Kind, Placement};
+use super::solids::Solid;
 use crate::math::Bounds3;
 use crate::scene::{Interpolation, Mesh, Normals};
 use glam::{DMat3, DMat4, DVec3, Vec3};
@@ -49,23 +50,13 @@ fn object_box(raw: &RawStage, prim: usize) -> (DVec3, DVec3) {
         let bounds = Bounds3::around(vectors(prim, "points").iter().copied());
         return (bounds.min.as_dvec3(), bounds.max.as_dvec3());
     }
-    // A box around every gprim whatever its axis: only the order of magnitude matters.
-    let sizes = [
-        "size",
-        "radius",
-        "radiusTop",
-        "radiusBottom",
-        "height",
-        "width",
-        "length",
-    ];
-    let authored = sizes.map(|name| number(prim, name, 0.0));
-    let half = authored.into_iter().fold(0.0, f64::max);
-    let half = DVec3::splat(if half > 0.0 { half } else { 1.0 });
-    (-half, half)
+    match Solid::read(prim) {
+        Some(solid) => (-solid.half_extent(), solid.half_extent()),
+        None => (DVec3::INFINITY, DVec3::NEG_INFINITY),
+    }
 }
 
-/// Longest image of a unit vector, at most √3 too long.
+/// Longest image of a unit vector, up to √3 too short.
 pub(super) fn greatest_scale(matrix: DMat4) -> f64 {
     let linear = DMat3::from_mat4(matrix);
     (linear.x_axis.length_squared()
