@@ -151,7 +151,7 @@ fn read_both(path: &Path, settings: &ReadSettings) -> Outcome {
         stage::read(source?.as_mut(), settings, &Diagnostics::default())
     };
     let native = NativeSource::open(path).map(|source| Box::new(source) as Box<dyn Source>);
-    let worker = WorkerSource::open_with(&python(), path);
+    let worker = WorkerSource::open_with(&python(), path, &Diagnostics::default());
     let worker = worker.map(|source| Box::new(source) as Box<dyn Source>);
     match (read(native), read(worker)) {
         (Ok(native), Ok(core)) => {
