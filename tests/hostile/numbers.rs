@@ -180,7 +180,7 @@ fn transforms_that_are_not_finite_leave_the_prim_out_with_a_warning() {
         .leak();
         let stage = Stage { mesh, ..PLAIN };
         stage.bake(scale, |trial| {
-            trial.refused(&["/quad", "no visible surface"])
+            trial.refused(&["/quad", "no visible surface"]);
         });
     }
 }
