@@ -2,6 +2,10 @@
 //!
 //! The scenes and values lie outside the repository, in `truth/` of the folder that `SURFLUX_SHARED` names, else
 //! `../shared`; without them these tests say that they are skipped.
+#![expect(
+    clippy::print_stdout,
+    reason = "measured errors are what these tests are read for"
+)]
 
 #[path = "support/python.rs"]
 mod python;

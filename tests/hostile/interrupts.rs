@@ -1,7 +1,7 @@
 //! Ctrl-C in every phase and through both doors, and workers that die: the run ends with a message, and nothing of it
 //! stays behind.
 
-use super::program::{ROOM, files};
+use super::program::{ROOM, files, stderr};
 use super::trial::surflux_by;
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
@@ -65,7 +65,15 @@ impl Run {
     }
 
     /// Wait for the end: exit code 1, `word` in the message, no file, no process of `children` left.
-    fn ends_with(mut self, word: &str, children: &[u32]) {
+    fn ends_with(self, word: &str, children: &[u32]) {
+        let folder = self.ends(word, children);
+        let left = files(folder.path());
+        let output = left.iter().find(|name| name.starts_with("out"));
+        assert_eq!(output, None);
+    }
+
+    /// Wait for the end: exit code 1, `word` in the message, no temporary file, no process of `children` left.
+    fn ends(mut self, word: &str, children: &[u32]) -> TempDir {
         let start = Instant::now();
         while self.child.try_wait().expect("waitable").is_none() {
             if start.elapsed() > PATIENCE {
@@ -86,9 +94,9 @@ impl Run {
             "an orphan is left"
         );
         let left = files(self.folder.path());
-        let ours = |name: &&String| name.starts_with("out") || name.starts_with('.');
-        assert_eq!(left.iter().find(ours), None, "{said}");
+        assert_eq!(left.iter().find(|name| name.starts_with('.')), None);
         assert_eq!(files(&self.folder.path().join("tmp")), Vec::<String>::new());
+        self.folder
     }
 }
 
@@ -182,17 +190,23 @@ fn an_interrupted_read_ends_by_the_native_door() {
 }
 
 #[test]
-fn an_interrupted_write_leaves_no_partial_file() {
+fn an_interrupted_write_leaves_a_whole_file_or_none() {
     for extension in ["usda", "usdc"] {
         let folder = folder();
         let mut command = surflux_by("native", "bake");
         command.arg(grid(folder.path(), 400)).arg("-o");
-        command.arg(folder.path().join("out").with_extension(extension));
-        command.args(["--aov", "N,P,primId", "--display-color", "none"]);
+        let output = folder.path().join("out").with_extension(extension);
+        command.arg(&output).args(["--aov", "N,P,primId"]);
+        command.args(["--display-color", "none"]);
         let mut run = Run::start(folder, command);
         run.reach("write");
         run.interrupt();
-        run.ends_with("cancelled", &[]);
+        let _folder = run.ends("cancelled", &[]);
+        if output.exists() {
+            let read = surflux_by("native", "info").arg(&output).output();
+            let read = read.expect("the program starts");
+            assert!(read.status.success(), "{}", stderr(&read));
+        }
     }
 }
 

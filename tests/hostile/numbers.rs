@@ -172,15 +172,15 @@ fn primvars_and_normals_of_wrong_length_or_without_numbers_are_warned_of() {
 }
 
 #[test]
-fn transforms_that_are_not_finite_or_flat_leave_the_prim_out_with_a_warning() {
-    for scale in ["nan,1,1", "inf,1,1", "0,0,0", "1e200,1e200,1e200"] {
+fn transforms_that_are_not_finite_leave_the_prim_out_with_a_warning() {
+    for scale in ["nan,1,1", "inf,1,1", "1e200,1e200,1e200"] {
         let mesh = format!(
             "double3 xformOp:scale = ({scale})\nuniform token[] xformOpOrder = [\"xformOp:scale\"]"
         )
         .leak();
         let stage = Stage { mesh, ..PLAIN };
         stage.bake(scale, |trial| {
-            trial.refused(&["/quad", "no visible surface"])
+            trial.refused(&["/quad", "no visible surface"]);
         });
     }
 }
@@ -221,7 +221,7 @@ fn materials_without_numbers_use_defaults_with_a_warning() {
 #[test]
 fn a_shader_network_that_runs_in_circles_is_no_endless_loop() {
     for door in DOORS {
-        bake(door, "circle", &circle());
+        bake(door, "circle", &circle()).warned(&[]);
     }
 }
 
@@ -370,7 +370,7 @@ fn a_stage_with_nothing_but_an_empty_mesh_is_refused() {
 }
 
 #[test]
-fn units_without_sense_are_no_trouble() {
+fn units_without_sense_are_warned_of() {
     for units in [
         "metersPerUnit = nan",
         "metersPerUnit = 0",
@@ -378,7 +378,7 @@ fn units_without_sense_are_no_trouble() {
     ] {
         let text = PLAIN.text().replace("metersPerUnit = 1", units);
         for door in DOORS {
-            bake(door, units, &text);
+            bake(door, units, &text).warned(&["metersPerUnit"]);
         }
     }
 }

@@ -30,7 +30,7 @@ pub fn scene(
     let origin = layout.origin();
     let (meshes, prims) = layout.build(&look, diagnostics)?;
     Ok(Scene {
-        stage: stage_info(&raw.meta, settings.time),
+        stage: stage_info(&raw.meta, settings.time, diagnostics),
         origin,
         meshes,
         prims,
@@ -41,19 +41,33 @@ pub fn scene(
     })
 }
 
-fn stage_info(meta: &RawMeta, time: Option<f64>) -> StageInfo {
+fn stage_info(meta: &RawMeta, time: Option<f64>, diagnostics: &Diagnostics) -> StageInfo {
+    let positive = |name: &str, authored: Option<f64>, fallback: f64| match authored {
+        Some(number) if !(number.is_finite() && number > 0.0) => {
+            let message = format!("{name} is {number}, not above 0: {fallback} is used");
+            diagnostics.warn("invalid-units", meta.path.to_string_lossy(), message);
+            fallback
+        }
+        authored => authored.unwrap_or(fallback),
+    };
     StageInfo {
         path: meta.path.clone(),
         up_axis: match meta.up_axis.as_deref() {
             Some("Z") => UpAxis::Z,
             _ => UpAxis::Y,
         },
-        meters_per_unit: meta.meters_per_unit.unwrap_or(DEFAULT_METERS_PER_UNIT),
+        meters_per_unit: positive(
+            "metersPerUnit",
+            meta.meters_per_unit,
+            DEFAULT_METERS_PER_UNIT,
+        ),
         default_prim: meta.default_prim.clone(),
         time_range: meta.start_time_code.zip(meta.end_time_code),
-        time_codes_per_second: meta
-            .time_codes_per_second
-            .unwrap_or(DEFAULT_TIME_CODES_PER_SECOND),
+        time_codes_per_second: positive(
+            "timeCodesPerSecond",
+            meta.time_codes_per_second,
+            DEFAULT_TIME_CODES_PER_SECOND,
+        ),
         time,
         layers: meta.layers.clone(),
         reader: meta.reader.to_owned(),
@@ -66,7 +80,7 @@ mod tests {
 
     #[test]
     fn unauthored_metadata_has_usd_fallbacks() {
-        let info = stage_info(&RawMeta::default(), None);
+        let info = stage_info(&RawMeta::default(), None, &Diagnostics::default());
         assert_eq!(info.up_axis, UpAxis::Y);
         assert_eq!(info.meters_per_unit, 0.01);
         assert_eq!(info.time_codes_per_second, 24.0);
