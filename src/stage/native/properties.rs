@@ -363,11 +363,13 @@ impl InstanceKey {
     }
 }
 
-/// True if an arc of the prim itself, not of an ancestor, brings `node` in.
+/// True if an arc of the prim itself, not of an ancestor, brings `node` in. (Below the pseudo-root the instance's own
+/// site hangs on an arc too: instances at the top of a stage differ in it and share nonetheless.)
 fn is_own(index: &PrimIndex, node: &Node) -> bool {
     let mut at = Some(node);
     while let Some(node) = at {
-        let parent = node.parent().map(|parent| index.node(parent));
+        let parent = node.parent().filter(|_| node.arc() != ArcType::Root);
+        let parent = parent.map(|parent| index.node(parent));
         if parent.is_some_and(|parent| {
             parent.path().prim_element_count() <= usize::from(node.namespace_depth())
         }) {

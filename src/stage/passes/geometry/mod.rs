@@ -9,6 +9,7 @@
 
 mod attributes;
 mod authored;
+mod control;
 mod draw_modes;
 mod gprims;
 mod instancer;
