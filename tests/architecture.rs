@@ -122,7 +122,6 @@ const DOORS: &[(&str, &[&str])] = &[
     ("opensubdiv_rs", &["stage"]),
     ("exr", &["image", "writers"]),
     ("image", &["image", "writers"]),
-    ("obvhs", &["trace"]),
     ("clap", &["cli"]),
     ("indicatif", &["cli"]),
     ("ctrlc", &["cli"]),

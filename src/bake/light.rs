@@ -1,7 +1,8 @@
 //! Direct light on cells, averaged over their areas.
 //!
-//! Light is evaluated at the center of every cell. Where a cell and its neighbors differ by more than
-//! [`STEEPEST`], which is what a shadow's edge or the falloff of a near light looks like at the cells' size, UsdLux
+//! Light is evaluated at the center of every cell, as seen from one place on each source, another one for every
+//! neighbor. Where a cell and its neighbors differ by more than
+//! [`STEEPEST`], which is what a penumbra, a shadow's edge or the falloff of a near light looks like at the cells' size, UsdLux
 //! lights (the sharp sources) are evaluated again at the middles of its four quarters, and their mean counts.
 //! Neighbors are the adjoining cells of the same triangle, and for triangles of one cell the cells of all triangles
 //! that share a point with it. What lies between cells that agree, such as the shadow of a twig, is not looked for.
@@ -27,6 +28,8 @@ pub(super) struct Look<'a> {
     pub(super) surface: &'a (dyn Fn(&SurfacePoint) -> Surface + Sync),
     /// Irradiance of sources whose shadows may be sharp.
     pub(super) lights: &'a (dyn Fn(&ShadePoint) -> Vec3 + Sync),
+    /// The same where nothing casts a penumbra; in penumbrae that of one place on the source, another for every number.
+    pub(super) glance: &'a (dyn Fn(&ShadePoint, usize) -> Vec3 + Sync),
     /// Irradiance of wide sources.
     pub(super) wide: &'a (dyn Fn(&ShadePoint) -> Vec3 + Sync),
 }
@@ -48,12 +51,25 @@ impl Side<'_> {
         let shading = self
             .world
             .shading_normal(t, weights.y, weights.z, plane_normal);
+        let position = a * weights.x + b * weights.y + c * weights.z;
+        let normal = shading * sign;
+        let smooth_offset = (shading != plane_normal)
+            .then(|| self.world.smooth_offset(t, weights, normal))
+            .flatten();
         ShadePoint {
-            position: a * weights.x + b * weights.y + c * weights.z,
-            normal: shading * sign,
+            position,
+            normal,
             geometric_normal: plane_normal * sign,
+            smooth_offset,
         }
     }
+}
+
+/// Number for [`Look::glance`] of a cell: those of neighbors differ.
+pub(super) fn glance_number(t: u32, row: Row, column: u32) -> usize {
+    // the upper bits of multiples of the golden ratio: neighboring triangles have distant numbers
+    let triangle = t.wrapping_mul(0x9e37_79b9) >> 28;
+    5 * column as usize + 7 * row.index as usize + triangle as usize
 }
 
 /// Irradiance of `look.lights` on one cell as the mean over its quarters.

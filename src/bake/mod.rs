@@ -19,7 +19,7 @@ use crate::surfels::{DiceMap, PrimDice, Sides, SurfelCloud};
 use crate::trace::Tracer;
 use blocks::{Block, BlockColumns, front};
 use glam::Vec3;
-use light::{Look, Side, Steepness, quartered};
+use light::{Look, Side, Steepness, glance_number, quartered};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 use world::WorldMesh;
@@ -63,12 +63,12 @@ pub fn bake(
     settings: &BakeSettings,
     diagnostics: &Diagnostics,
 ) -> Result<Baked, Cancelled> {
+    let lighting = lighting.for_surfels();
     let look = Look {
         surface: &|point| shader.surface(point),
         lights: &|point| lighting.lights(tracer, point),
-        wide: &|point| {
-            lighting.environment(tracer, point) + lighting.emitters(shader, tracer, point)
-        },
+        glance: &|point, number| lighting.glance(tracer, point, number),
+        wide: &|point| lighting.wide(shader, tracer, point),
     };
     bake_with(shader.scene(), &look, settings, diagnostics)
 }
@@ -222,7 +222,7 @@ fn fill_cell(
     // Black surfaces reflect nothing, whatever falls on them.
     if surface.albedo != Vec3::ZERO {
         columns.radiosity[i] += surface.albedo * (look.wide)(&point);
-        columns.lights[i] = (look.lights)(&point);
+        columns.lights[i] = (look.glance)(&point, glance_number(triangle.t, row, column));
     }
 }
 
@@ -422,6 +422,7 @@ mod tests {
         let look = Look {
             surface: &|_| GRAY,
             lights,
+            glance: &|point, _| lights(point),
             wide: &|_| Vec3::ZERO,
         };
         bake_with(scene, &look, &settings, &Diagnostics::default()).unwrap()
@@ -630,6 +631,7 @@ mod tests {
         let look = Look {
             surface: &|_| GRAY,
             lights: &|_| Vec3::ZERO,
+            glance: &|_, _| Vec3::ZERO,
             wide: &|_| Vec3::ZERO,
         };
         let scene = scene(vec![(floor(1), Affine3A::IDENTITY)]);

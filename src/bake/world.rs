@@ -1,5 +1,6 @@
 //! A prim's mesh in world space.
 
+use crate::lighting::smooth_offset;
 use crate::scene::{Mesh, Prim, PrimId, Scene};
 use glam::{Affine3A, Mat3, Vec3, Vec3A};
 
@@ -58,6 +59,13 @@ impl<'a> WorldMesh<'a> {
 
     fn is_mirrored(&self) -> bool {
         self.world_from_object.matrix3.determinant() < 0.0
+    }
+
+    /// See [`smooth_offset`]; for a side whose shading normal at the point is `normal`.
+    pub(super) fn smooth_offset(&self, t: u32, weights: Vec3, normal: Vec3) -> Option<Vec3> {
+        let normals = self.mesh.corner_normals(t as usize)?;
+        let normals = normals.map(|n| self.world_normal_from_object * n);
+        Some(smooth_offset(&self.corners(t), &normals, weights, normal))
     }
 
     /// Unit shading normal of the front side, never more than 90° from `plane_normal`.

@@ -226,11 +226,9 @@ impl<'a> Work<'a> {
     }
 
     fn seen<'s>(&self, receivers: &'s Receivers, i: usize, hemisphere: &'s Hemisphere) -> Seen<'s> {
-        let point = ShadePoint {
-            position: receivers.position[i],
-            normal: receivers.normal[i],
-            geometric_normal: receivers.geometric_normal[i],
-        };
+        let normals = (receivers.normal[i], receivers.geometric_normal[i]);
+        let (scene, position) = (self.scene.shader.scene(), receivers.position[i]);
+        let point = ShadePoint::on_mesh(scene, &receivers.surface[i], position, normals);
         let seen = Seen {
             receivers,
             index: i,

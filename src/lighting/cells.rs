@@ -2,8 +2,8 @@
 //! in the cell of the nearest direction, and the moments of each cell.
 
 use super::environment::Dome;
-use super::latlong::Picture;
 use super::pattern;
+use crate::image::Latlong;
 use crate::math::luminance;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -73,7 +73,7 @@ pub(super) fn build_cells(domes: &[Dome], count: usize, is_uniform: bool) -> Vec
 /// A dome's map, or an even one.
 struct Sky<'a> {
     dome: &'a Dome,
-    map: std::borrow::Cow<'a, Picture>,
+    map: std::borrow::Cow<'a, Latlong>,
 }
 
 /// A texel in world space.
@@ -130,7 +130,7 @@ impl Sums {
 
 impl<'a> Sky<'a> {
     fn new(dome: &'a Dome) -> Self {
-        let even = || std::borrow::Cow::Owned(Picture::uniform(UNIFORM_MAP.0, UNIFORM_MAP.1));
+        let even = || std::borrow::Cow::Owned(even_map(UNIFORM_MAP.0, UNIFORM_MAP.1));
         let map = (dome.map.as_ref()).map_or_else(even, std::borrow::Cow::Borrowed);
         Self { dome, map }
     }
@@ -139,7 +139,7 @@ impl<'a> Sky<'a> {
     fn coarse(&self) -> Self {
         let factor = self.map.width.div_ceil(PLACING_WIDTH);
         let map = if factor > 1 {
-            std::borrow::Cow::Owned(self.map.reduced(factor))
+            std::borrow::Cow::Owned(reduced(&self.map, factor))
         } else {
             self.map.clone()
         };
@@ -154,7 +154,6 @@ impl<'a> Sky<'a> {
     }
 
     /// The blocks of one row of blocks, each with its texels.
-    #[expect(clippy::cast_precision_loss, reason = "image sizes")]
     fn blocks(&self, row: usize) -> impl Iterator<Item = Vec<Texel>> {
         let rows = row * BLOCK..((row + 1) * BLOCK).min(self.map.height);
         (0..self.map.width.div_ceil(BLOCK)).map(move |column| {
@@ -163,7 +162,7 @@ impl<'a> Sky<'a> {
             for y in rows.clone() {
                 let solid_angle = self.map.solid_angle(y);
                 for x in columns.clone() {
-                    let local = self.map.direction(x as f32 + 0.5, y as f32 + 0.5);
+                    let local = self.map.direction(x, y);
                     let pixel = self.map.pixels[y * self.map.width + x];
                     texels.push(Texel {
                         direction: self.dome.world_from_dome * local,
@@ -190,6 +189,42 @@ impl<'a> Sky<'a> {
                 sums
             })
             .collect()
+    }
+}
+
+/// A map of radiance 1.
+pub(super) fn even_map(width: usize, height: usize) -> Latlong {
+    Latlong {
+        width,
+        height,
+        pixels: vec![Vec3::ONE; width * height],
+        repaired: 0,
+    }
+}
+
+/// Averages blocks of `factor × factor` texels (fewer at the right and lower edge), by solid angle.
+fn reduced(map: &Latlong, factor: usize) -> Latlong {
+    let (width, height) = (map.width.div_ceil(factor), map.height.div_ceil(factor));
+    let mean = |x: usize, y: usize| {
+        let (mut sum, mut weights) = (Vec3::ZERO, 0.0);
+        for row in y * factor..((y + 1) * factor).min(map.height) {
+            let weight = map.solid_angle(row);
+            for column in x * factor..((x + 1) * factor).min(map.width) {
+                sum += map.pixels[row * map.width + column] * weight;
+                weights += weight;
+            }
+        }
+        sum / weights
+    };
+    let pixels = (0..width * height)
+        .into_par_iter()
+        .map(|i| mean(i % width, i / width))
+        .collect();
+    Latlong {
+        width,
+        height,
+        pixels,
+        repaired: map.repaired,
     }
 }
 

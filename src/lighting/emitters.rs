@@ -1,12 +1,14 @@
-//! Emissive surfaces: large plane ones in closed form with ray-traced visibility, all others sampled.
+//! Emissive surfaces: large plane ones in closed form, others of constant radiance as clusters, both with ray-traced
+//! visibility; textured ones sampled.
 
+use super::clusters::Clusters;
 use super::panels::{Panel, PanelBuilder};
+use super::pattern;
 use super::sampled::SampledEmitters;
-use super::{LightSamples, ShadePoint, end_before, pattern};
+use super::stand::Stand;
 use crate::math::Frame;
 use crate::scene::{Input, PrimId, Scene};
 use crate::shading::{Shader, SurfacePoint};
-use crate::trace::Tracer;
 use glam::{DVec3, Vec2, Vec3};
 use std::f32::consts::PI;
 
@@ -16,10 +18,11 @@ const MOST_PANELS: usize = 64;
 const MOST_EDGES: usize = 1024;
 /// Panels that fill more of the cosine-weighted hemisphere than this are tested along hemisphere directions, smaller
 /// ones along rays to points spread over them.
-const LARGE_PANEL: f32 = 0.04;
-/// Rays to a panel end at least this many lifting heights (along its normal) before it: the panel itself must not
-/// block them.
-const CLEARANCE: f32 = 0.5;
+const LARGE_PANEL: f32 = 0.25;
+/// So many rays that agree decide that a panel is wholly visible or wholly hidden.
+const DECISIVE: usize = 16;
+/// Above this number of emissive triangles none are joined to panels: as clusters they are as exact.
+const MOST_JOINED: usize = 1 << 16;
 
 /// A triangle that emits from its front side, in world space, corners counter-clockwise as seen from there.
 #[derive(Debug, Clone, Copy)]
@@ -39,68 +42,97 @@ pub(super) struct EmissiveTriangle {
 #[derive(Debug)]
 pub(super) struct Emitters {
     panels: Vec<Panel>,
+    clusters: Clusters,
     sampled: SampledEmitters,
-    hemisphere: Vec<Vec3>,
-    squares: Vec<Vec2>,
+}
+
+/// Patterns of rays to emissive surfaces.
+#[derive(Debug)]
+pub(super) struct EmitterPatterns {
+    pub(super) hemisphere: Vec<Vec3>,
+    pub(super) squares: Vec<Vec2>,
+}
+
+impl EmitterPatterns {
+    /// `rays` of each kind.
+    pub(super) fn new(rays: u32) -> Self {
+        Self {
+            hemisphere: pattern::hemisphere(rays),
+            squares: pattern::square(rays),
+        }
+    }
+
+    /// Half as many of each.
+    pub(super) fn halves(&self) -> (&[Vec3], &[Vec2]) {
+        let half = |count: usize| count.div_ceil(2);
+        (
+            &self.hemisphere[..half(self.hemisphere.len())],
+            &self.squares[..half(self.squares.len())],
+        )
+    }
 }
 
 impl Emitters {
     /// Find the emissive triangles; cost linear in the triangles of emissive materials.
-    pub(super) fn new(shader: &Shader<'_>, samples: LightSamples) -> Self {
+    pub(super) fn new(shader: &Shader<'_>) -> Self {
         let triangles = emissive_triangles(shader);
-        let (panels, rest) = PanelBuilder::new(MOST_PANELS, MOST_EDGES).build(triangles);
+        let (panels, rest) = if triangles.len() > MOST_JOINED {
+            (Vec::new(), triangles)
+        } else {
+            PanelBuilder::new(MOST_PANELS, MOST_EDGES).build(triangles)
+        };
+        let (constant, textured): (Vec<_>, Vec<_>) =
+            rest.into_iter().partition(|triangle| triangle.is_constant);
         Self {
             panels,
-            sampled: SampledEmitters::new(shader.scene(), &rest, samples.emissive),
-            hemisphere: pattern::hemisphere(samples.emissive),
-            squares: pattern::square(samples.emissive),
+            clusters: Clusters::new(&constant),
+            sampled: SampledEmitters::new(shader.scene(), &textured),
         }
     }
 
     /// True if nothing emits.
     pub(super) fn is_empty(&self) -> bool {
-        self.panels.is_empty() && self.sampled.is_empty()
+        self.panels.is_empty() && self.clusters.is_empty() && self.sampled.is_empty()
     }
 
-    /// Irradiance at `point`; rays start at `origin` (the lifted position).
+    /// Irradiance.
     pub(super) fn irradiance(
         &self,
+        patterns: &EmitterPatterns,
         shader: &Shader<'_>,
-        tracer: &Tracer,
-        point: &ShadePoint,
-        origin: Vec3,
+        stand: &Stand<'_>,
     ) -> Vec3 {
-        let receiver = Receiver {
-            point,
-            origin: self.off_panels(tracer, point, origin),
-            clearance: CLEARANCE * tracer.lift_height(point.position),
-        };
+        let stand = stand.moved_to(self.off_panels(stand));
         let unoccluded: Vec<f32> = (self.panels.iter())
-            .map(|panel| panel.irradiance(receiver.origin, point.normal))
+            .map(|panel| panel.irradiance(stand.origin, stand.point.normal))
             .collect();
         let total: f32 = unoccluded.iter().sum();
         let mut sum = Vec3::ZERO;
         for (panel, &irradiance) in self.panels.iter().zip(&unoccluded) {
             if irradiance > 0.0 {
                 let visible = if irradiance > PI * LARGE_PANEL {
-                    self.visible_of_large(panel, tracer, &receiver)
+                    visible_of_large(panel, &stand, &patterns.hemisphere)
                 } else {
-                    self.visible_of_small(panel, tracer, &receiver, irradiance / total)
+                    visible_of_small(panel, &stand, &patterns.squares, irradiance / total)
                 };
                 sum += panel.emission * irradiance * visible;
             }
         }
-        sum + self
-            .sampled
-            .irradiance(shader, tracer, point, receiver.origin)
+        if !self.clusters.is_empty() {
+            sum += self.clusters.irradiance(&stand, &patterns.squares);
+        }
+        if !self.sampled.is_empty() {
+            sum += self.sampled.irradiance(shader, &stand, patterns.halves());
+        }
+        sum
     }
 
     /// A receiver on the edge of a panel lies in its plane, where its irradiance jumps: it is seen from the front side.
-    fn off_panels(&self, tracer: &Tracer, point: &ShadePoint, origin: Vec3) -> Vec3 {
-        let height = tracer.lift_height(point.position);
-        self.panels.iter().fold(origin, |origin, panel| {
+    fn off_panels(&self, stand: &Stand<'_>) -> Vec3 {
+        let height = stand.tracer.lift_height(stand.point.position);
+        self.panels.iter().fold(stand.origin, |origin, panel| {
             let distance = panel.distance(origin);
-            let is_own = panel.normal.dot(point.geometric_normal).abs() > 0.999;
+            let is_own = panel.normal.dot(stand.point.geometric_normal).abs() > 0.999;
             if distance.abs() < height && !is_own {
                 origin + panel.normal * (height - distance)
             } else {
@@ -108,86 +140,62 @@ impl Emitters {
             }
         })
     }
-
-    fn visible_of_large(&self, panel: &Panel, tracer: &Tracer, receiver: &Receiver<'_>) -> f32 {
-        let frame = Frame::about(receiver.point.normal);
-        let rays = self.hemisphere.iter().map(|&local| {
-            let direction = frame.to_world(local);
-            let distance = panel.hit(receiver.origin, direction)?;
-            Some((direction, distance, 1.0))
-        });
-        receiver.visible_share(panel, tracer, rays)
-    }
-
-    fn visible_of_small(
-        &self,
-        panel: &Panel,
-        tracer: &Tracer,
-        receiver: &Receiver<'_>,
-        share: f32,
-    ) -> f32 {
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            clippy::cast_precision_loss,
-            reason = "a part of the samples"
-        )]
-        let count =
-            ((share * self.squares.len() as f32) as usize).clamp(16, self.squares.len().max(16));
-        let rays = self.squares.iter().take(count).map(|&square| {
-            let offset = panel.place(square) - receiver.origin;
-            let squared = offset.length_squared();
-            let direction = offset.try_normalize()?;
-            let cosines = receiver.point.normal.dot(direction).max(0.0)
-                * -panel.normal.dot(direction).min(0.0);
-            (cosines > 0.0).then(|| (direction, squared.sqrt(), cosines / squared))
-        });
-        receiver.visible_share(panel, tracer, rays)
-    }
 }
 
-struct Receiver<'a> {
-    point: &'a ShadePoint,
-    origin: Vec3,
-    clearance: f32,
+fn visible_of_large(panel: &Panel, stand: &Stand<'_>, hemisphere: &[Vec3]) -> f32 {
+    let frame = Frame::about(stand.point.normal);
+    let rays = hemisphere.iter().map(|&local| {
+        let direction = frame.to_world(local);
+        let distance = panel.hit(stand.origin, direction)?;
+        Some((direction, distance, 1.0))
+    });
+    visible_share(panel, stand, rays)
 }
 
-impl Receiver<'_> {
-    /// Weighted share of unblocked rays (direction, distance, weight), a quarter of them if these agree.
-    fn visible_share(
-        &self,
-        panel: &Panel,
-        tracer: &Tracer,
-        rays: impl ExactSizeIterator<Item = Option<(Vec3, f32, f32)>>,
-    ) -> f32 {
-        let quarter = rays.len().div_ceil(4);
-        let (mut all, mut lit, mut blocked) = (0.0, 0.0, 0.0);
-        for (index, ray) in rays.enumerate() {
-            if index == quarter && all > 0.0 && (lit == 0.0 || blocked == 0.0) {
-                break;
-            }
-            let Some((direction, distance, weight)) = ray else {
-                continue;
-            };
-            all += weight;
-            if self.is_visible(panel, tracer, direction, distance) {
-                lit += weight;
-            } else {
-                blocked += weight;
-            }
-        }
-        if all > 0.0 { lit / all } else { 0.0 }
-    }
+fn visible_of_small(panel: &Panel, stand: &Stand<'_>, squares: &[Vec2], share: f32) -> f32 {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        clippy::cast_precision_loss,
+        reason = "a part of the samples"
+    )]
+    let count = ((share * squares.len() as f32) as usize).clamp(16, squares.len().max(16));
+    let rays = squares.iter().take(count).map(|&square| {
+        let offset = panel.place(square) - stand.origin;
+        let squared = offset.length_squared();
+        let direction = offset.try_normalize()?;
+        let cosines =
+            stand.point.normal.dot(direction).max(0.0) * -panel.normal.dot(direction).min(0.0);
+        (cosines > 0.0).then(|| (direction, squared.sqrt(), cosines / squared))
+    });
+    visible_share(panel, stand, rays)
+}
 
-    fn is_visible(&self, panel: &Panel, tracer: &Tracer, direction: Vec3, distance: f32) -> bool {
-        if self.point.geometric_normal.dot(direction) <= 0.0 {
-            return false;
+/// Weighted share of unblocked rays (direction, distance, weight), a quarter of them if these agree.
+fn visible_share(
+    panel: &Panel,
+    stand: &Stand<'_>,
+    rays: impl ExactSizeIterator<Item = Option<(Vec3, f32, f32)>>,
+) -> f32 {
+    let quarter = rays.len().div_ceil(4);
+    let (mut all, mut lit, mut blocked) = (0.0, 0.0, 0.0);
+    let met = rays
+        .enumerate()
+        .filter_map(|(index, ray)| ray.map(|ray| (index, ray)));
+    for (count, (index, (direction, distance, weight))) in met.enumerate() {
+        let is_enough = index >= quarter && count >= DECISIVE.min(quarter);
+        if is_enough && (lit == 0.0 || blocked == 0.0) {
+            break;
         }
-        let slope = -panel.normal.dot(direction);
-        let end =
-            end_before(distance).min(distance - self.clearance / slope.max(f32::MIN_POSITIVE));
-        end <= 0.0 || !tracer.occluded(self.origin, direction, end)
+        all += weight;
+        let place = stand.origin + direction * distance;
+        if stand.sees_surface(place, direction, -panel.normal.dot(direction)) {
+            lit += weight;
+        } else {
+            blocked += weight;
+        }
     }
+    if all > 0.0 { lit / all } else { 0.0 }
 }
 
 /// All triangles that emit, in order of prims and triangles.

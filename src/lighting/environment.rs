@@ -2,12 +2,12 @@
 //! moment of that part's radiance, so that the irradiance of unblocked cells is exact above the horizon.
 
 use super::cells::{Cell, build_cells};
-use super::latlong::Picture;
-use super::{LightSamples, ShadePoint};
+use super::pictures;
+use super::stand::Stand;
 use crate::diagnostics::Diagnostics;
+use crate::image::Latlong;
 use crate::math::luminance;
 use crate::scene::{Light, LightKind};
-use crate::trace::Tracer;
 use glam::{Mat3, Vec3};
 use std::f32::consts::PI;
 
@@ -15,7 +15,7 @@ use std::f32::consts::PI;
 #[derive(Debug)]
 pub(super) struct Dome {
     /// `None` = the same everywhere.
-    pub(super) map: Option<Picture>,
+    pub(super) map: Option<Latlong>,
     /// Factor on the map.
     pub(super) radiance: Vec3,
     /// Rotation.
@@ -26,29 +26,24 @@ pub(super) struct Dome {
 #[derive(Debug)]
 pub(super) struct Environment {
     domes: Vec<Dome>,
-    cells: Vec<Cell>,
     /// Radiance, if the same in all directions.
     pub(super) uniform: Option<Vec3>,
 }
 
 impl Environment {
-    /// Read the textures and divide the sky into `samples.environment` cells.
-    pub(super) fn new(lights: &[Light], samples: LightSamples, diagnostics: &Diagnostics) -> Self {
+    /// Read the textures.
+    pub(super) fn new(lights: &[Light], diagnostics: &Diagnostics) -> Self {
         let domes: Vec<_> = (lights.iter())
             .filter_map(|light| dome_of(light, diagnostics))
             .collect();
         let uniform = (domes.iter().all(|dome| dome.map.is_none()))
             .then(|| domes.iter().map(|dome| dome.radiance).sum());
-        let cells = build_cells(
-            &domes,
-            samples.environment.max(2) as usize,
-            uniform.is_some(),
-        );
-        Self {
-            domes,
-            cells,
-            uniform,
-        }
+        Self { domes, uniform }
+    }
+
+    /// The sky divided into `count` cells.
+    pub(super) fn cells(&self, count: u32) -> Vec<Cell> {
+        build_cells(&self.domes, count.max(2) as usize, self.uniform.is_some())
     }
 
     /// True if some dome shines.
@@ -69,16 +64,15 @@ impl Environment {
         self.domes.iter().map(from).sum()
     }
 
-    /// Irradiance along unblocked directions; shadow rays start at `origin` (the lifted position).
-    pub(super) fn irradiance(&self, tracer: &Tracer, point: &ShadePoint, origin: Vec3) -> Vec3 {
+    /// Irradiance along unblocked directions.
+    pub(super) fn irradiance(&self, cells: &[Cell], stand: &Stand<'_>) -> Vec3 {
         let (mut all, mut unblocked) = (Vec3::ZERO, Vec3::ZERO);
-        for cell in &self.cells {
-            let Some((irradiance, direction)) = cell.irradiance(point.normal) else {
+        for cell in cells {
+            let Some((irradiance, direction)) = cell.irradiance(stand.point.normal) else {
                 continue;
             };
             all += irradiance;
-            let is_above = point.geometric_normal.dot(direction) > 0.0;
-            if is_above && !tracer.occluded(origin, direction, f32::INFINITY) {
+            if stand.sees_sky(direction) {
                 unblocked += irradiance;
             }
         }
@@ -105,8 +99,7 @@ fn dome_of(light: &Light, diagnostics: &Diagnostics) -> Option<Dome> {
         diagnostics.warn("degenerate-light", &light.path, message);
         return None;
     }
-    let map =
-        (texture.as_ref()).and_then(|path| Picture::load_or_warn(path, &light.path, diagnostics));
+    let map = (texture.as_ref()).and_then(|path| pictures::map(path, &light.path, diagnostics));
     let (map, radiance) = match map {
         Some(map) if map.pixels.iter().all(|pixel| *pixel == map.pixels[0]) => {
             (None, light.radiance * map.pixels[0])

@@ -1,17 +1,17 @@
 //! UsdLux lights other than domes, prepared for shading: irradiance = unshadowed irradiance × visible fraction.
 
-use super::latlong::Picture;
+use super::ShadePoint;
 use super::pattern;
+use super::pictures::Picture;
 use super::shape::{Ellipsoid, LightSample, Shape};
 use super::shaping::WorldShaping;
-use super::{ShadePoint, end_before};
+use super::stand::Stand;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Light, LightKind};
-use crate::trace::Tracer;
 use glam::{Affine3A, Vec2, Vec3};
 
-/// Samples of an unshadowed irradiance without a closed form; they cost no rays.
-const UNSHADOWED_SAMPLES: u32 = 256;
+/// Samples along each side of a light whose unshadowed irradiance has no closed form; they cost no rays.
+const UNSHADOWED_SIDE: u16 = 16;
 
 /// A light in world space.
 #[derive(Debug)]
@@ -29,14 +29,23 @@ pub(super) struct AreaLight {
 pub(super) struct Patterns {
     shadow: Vec<Vec2>,
     unshadowed: Vec<Vec2>,
+    /// Side of the part of a light that a shadow sample stands for, 1 = the whole light.
+    shadow_width: f32,
+    /// The same of an unshadowed sample.
+    unshadowed_width: f32,
 }
 
 impl Patterns {
     /// `per_light` shadow rays, rounded up to a power of four.
     pub(super) fn new(per_light: u32) -> Self {
+        let (shadow, unshadowed) = (pattern::square(per_light), pattern::grid(UNSHADOWED_SIDE));
+        #[expect(clippy::cast_precision_loss, reason = "a few hundred samples")]
+        let width = |squares: &[Vec2]| 1.0 / (squares.len() as f32).sqrt();
         Self {
-            shadow: pattern::square(per_light),
-            unshadowed: pattern::square(UNSHADOWED_SAMPLES),
+            shadow_width: width(&shadow),
+            unshadowed_width: width(&unshadowed),
+            shadow,
+            unshadowed,
         }
     }
 }
@@ -84,24 +93,47 @@ impl AreaLight {
         })
     }
 
-    /// Irradiance at `point`, shadows included; shadow rays start at `origin` (the lifted position).
-    pub(super) fn irradiance(
-        &self,
-        tracer: &Tracer,
-        patterns: &Patterns,
-        point: &ShadePoint,
-        origin: Vec3,
-    ) -> Vec3 {
-        let unshadowed = self.unshadowed(patterns, point) * self.radiance;
+    /// Irradiance, shadows included.
+    pub(super) fn irradiance(&self, patterns: &Patterns, stand: &Stand<'_>) -> Vec3 {
+        let unshadowed = self.unshadowed(patterns, stand.point) * self.radiance;
         if unshadowed == Vec3::ZERO {
             return Vec3::ZERO;
         }
-        if matches!(self.shape, Shape::Point { .. } | Shape::Parallel { .. }) {
-            let is_lit = (self.shape.sample(point, Vec2::ZERO))
-                .is_some_and(|sample| self.is_visible(tracer, &sample, point, origin));
-            return if is_lit { unshadowed } else { Vec3::ZERO };
+        if self.is_sharp() {
+            return unshadowed * self.visible_at(stand, Vec2::ZERO);
         }
-        unshadowed * self.visible_fraction(tracer, &patterns.shadow, point, origin)
+        unshadowed * self.visible_fraction(patterns, stand)
+    }
+
+    /// Irradiance if all of the light were as visible as one place on it, the one numbered `turn`.
+    pub(super) fn glance(&self, patterns: &Patterns, stand: &Stand<'_>, turn: usize) -> Vec3 {
+        let unshadowed = self.unshadowed(patterns, stand.point) * self.radiance;
+        if unshadowed == Vec3::ZERO {
+            return Vec3::ZERO;
+        }
+        let squares = &patterns.shadow;
+        let visible = (0..squares.len())
+            .map(|step| squares[(turn + step) % squares.len()])
+            .find(|&square| self.shines_from(patterns, stand.point, square))
+            .map_or(0.0, |square| self.visible_at(stand, square));
+        unshadowed * visible
+    }
+
+    /// Without extent.
+    fn is_sharp(&self) -> bool {
+        matches!(self.shape, Shape::Point { .. } | Shape::Parallel { .. })
+    }
+
+    fn shines_from(&self, patterns: &Patterns, point: &ShadePoint, square: Vec2) -> bool {
+        let sample = self.shape.sample(point, square);
+        sample.is_some_and(|sample| self.factor(&sample, patterns.shadow_width) != Vec3::ZERO)
+    }
+
+    /// 1 if the place `square` of the light is visible, else 0.
+    fn visible_at(&self, stand: &Stand<'_>, square: Vec2) -> f32 {
+        let sample = self.shape.sample(stand.point, square);
+        let is_visible = sample.is_some_and(|sample| self.is_visible(&sample, stand));
+        f32::from(u8::from(is_visible))
     }
 
     /// For radiance 1: the closed form, or the mean of many samples; with shaping and texture.
@@ -110,18 +142,16 @@ impl AreaLight {
         let is_plain = self.shaping.is_none() && self.texture.is_none();
         match closed {
             Some(irradiance) if is_plain || irradiance <= 0.0 => Vec3::splat(irradiance),
-            Some(irradiance)
-                if matches!(self.shape, Shape::Point { .. } | Shape::Parallel { .. }) =>
-            {
+            Some(irradiance) if self.is_sharp() => {
                 let sample = self.shape.sample(point, Vec2::ZERO);
-                sample.map_or(Vec3::ZERO, |s| self.factor(&s)) * irradiance
+                sample.map_or(Vec3::ZERO, |s| self.factor(&s, 0.0)) * irradiance
             }
             _ => {
                 let (mut plain, mut colored) = (0.0, Vec3::ZERO);
                 for &square in &patterns.unshadowed {
                     if let Some(sample) = self.shape.sample(point, square) {
                         plain += sample.weight;
-                        colored += sample.weight * self.factor(&sample);
+                        colored += sample.weight * self.factor(&sample, patterns.unshadowed_width);
                     }
                 }
                 #[expect(clippy::cast_precision_loss, reason = "a few hundred samples")]
@@ -135,13 +165,8 @@ impl AreaLight {
     }
 
     /// Share of the irradiance that arrives, a channel each; a quarter of the rays if these agree.
-    fn visible_fraction(
-        &self,
-        tracer: &Tracer,
-        squares: &[Vec2],
-        point: &ShadePoint,
-        origin: Vec3,
-    ) -> Vec3 {
+    fn visible_fraction(&self, patterns: &Patterns, stand: &Stand<'_>) -> Vec3 {
+        let squares = &patterns.shadow;
         let quarter = squares.len().div_ceil(4);
         let (mut all, mut lit) = (Vec3::ZERO, Vec3::ZERO);
         for (index, &square) in squares.iter().enumerate() {
@@ -149,15 +174,15 @@ impl AreaLight {
             if index == quarter && is_unanimous && all != Vec3::ZERO {
                 break;
             }
-            let Some(sample) = self.shape.sample(point, square) else {
+            let Some(sample) = self.shape.sample(stand.point, square) else {
                 continue;
             };
-            let weight = sample.weight * self.factor(&sample);
+            let weight = sample.weight * self.factor(&sample, patterns.shadow_width);
             if weight == Vec3::ZERO {
                 continue;
             }
             all += weight;
-            if self.is_visible(tracer, &sample, point, origin) {
+            if self.is_visible(&sample, stand) {
                 lit += weight;
             }
         }
@@ -169,37 +194,23 @@ impl AreaLight {
         )
     }
 
-    fn is_visible(
-        &self,
-        tracer: &Tracer,
-        sample: &LightSample,
-        point: &ShadePoint,
-        origin: Vec3,
-    ) -> bool {
-        if point.geometric_normal.dot(sample.to_light) <= 0.0 {
-            return false;
-        }
+    fn is_visible(&self, sample: &LightSample, stand: &Stand<'_>) -> bool {
         if !self.casts_shadows {
-            return true;
+            return stand.start(sample.to_light).is_some();
         }
         match sample.position {
-            None => !tracer.occluded(origin, sample.to_light, f32::INFINITY),
-            Some(position) => {
-                let offset = position - origin;
-                let distance = offset.length();
-                distance == 0.0 || !tracer.occluded(origin, offset / distance, end_before(distance))
-            }
+            None => stand.sees_sky(sample.to_light),
+            Some(position) => stand.sees(position, sample.to_light),
         }
     }
 
-    fn factor(&self, sample: &LightSample) -> Vec3 {
+    /// Of shaping and texture, this averaged over a square of side `width` (1 = the whole light).
+    fn factor(&self, sample: &LightSample, width: f32) -> Vec3 {
         let shaping = self
             .shaping
             .map_or(Vec3::ONE, |s| s.factor(-sample.to_light));
-        // UsdLuxRectLight: the texture's first texel is at +X, +Y
-        let texture = self.texture.as_ref().map_or(Vec3::ONE, |texture| {
-            texture.at(0.5 - 0.5 * sample.local.x, 0.5 - 0.5 * sample.local.y)
-        });
+        let texture =
+            (self.texture.as_ref()).map_or(Vec3::ONE, |texture| texture.color(sample.local, width));
         shaping * texture
     }
 }
@@ -263,5 +274,5 @@ fn texture_of(light: &Light, diagnostics: &Diagnostics) -> Option<Picture> {
     else {
         return None;
     };
-    Picture::load_or_warn(path, &light.path, diagnostics)
+    Picture::load(path, &light.path, diagnostics)
 }

@@ -2,24 +2,29 @@
 //! shadows and without noise.
 
 mod cells;
+mod clusters;
 mod emitters;
 mod environment;
 mod form_factor;
-mod latlong;
 mod lights;
 mod panels;
 mod pattern;
+mod pictures;
 mod sampled;
 mod shape;
 mod shaping;
+mod stand;
 
 use crate::diagnostics::Diagnostics;
-use crate::shading::Shader;
+use crate::scene::Scene;
+use crate::shading::{Shader, SurfacePoint};
 use crate::trace::Tracer;
-use emitters::Emitters;
+use cells::Cell;
+use emitters::{EmitterPatterns, Emitters};
 use environment::Environment;
 use glam::Vec3;
 use lights::{AreaLight, Patterns};
+use stand::Stand;
 
 /// A point that receives light on one side.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,6 +35,62 @@ pub struct ShadePoint {
     pub normal: Vec3,
     /// Unit normal of the plane it lies on, same side as `normal`.
     pub geometric_normal: Vec3,
+    /// From `position` to the smooth surface that the plane stands for, if it does for one; see [`smooth_offset`].
+    /// Light from below the plane and above the horizon of `normal` arrives there; `None` = it does not arrive.
+    pub smooth_offset: Option<Vec3>,
+}
+
+impl ShadePoint {
+    /// The point `surface` with the unit normals (shading, plane) of the side that is lit.
+    pub fn on_mesh(
+        scene: &Scene,
+        surface: &SurfacePoint,
+        position: Vec3,
+        (normal, geometric_normal): (Vec3, Vec3),
+    ) -> Self {
+        let smooth = || {
+            let prim = &scene.prims[surface.prim.index()];
+            let matrix = prim.world_from_object;
+            let mesh = scene.mesh_of(prim);
+            let t = surface.triangle as usize;
+            let normals = mesh.corner_normals(t)?;
+            let corners = mesh.corners(t).map(|p| matrix.transform_point3(p));
+            let to_world = matrix.matrix3.inverse().transpose();
+            let weights = Vec3::new(1.0 - surface.u - surface.v, surface.u, surface.v);
+            let normals = normals.map(|n| Vec3::from(to_world * glam::Vec3A::from(n)));
+            Some(smooth_offset(&corners, &normals, weights, normal))
+        };
+        Self {
+            position,
+            normal,
+            geometric_normal,
+            smooth_offset: (normal != geometric_normal).then(smooth).flatten(),
+        }
+    }
+}
+
+/// From the point with `weights` of the corners of a triangle to the smooth surface that it stands for: the mean over
+/// the corners of its feet on the planes through them at right angles to their `normals` (of any length and side),
+/// where these lie above it on the side of the unit `normal`. Zero at the corners, and on hollow surfaces. Hanika 2021.
+pub fn smooth_offset(
+    corners: &[Vec3; 3],
+    normals: &[Vec3; 3],
+    weights: Vec3,
+    normal: Vec3,
+) -> Vec3 {
+    let point = corners[0] * weights.x + corners[1] * weights.y + corners[2] * weights.z;
+    let mean = normals[0] * weights.x + normals[1] * weights.y + normals[2] * weights.z;
+    let side = if mean.dot(normal) < 0.0 { -1.0 } else { 1.0 };
+    let rise = |corner: usize| {
+        let up = normals[corner].normalize_or_zero() * side;
+        up * (corners[corner] - point).dot(up).max(0.0)
+    };
+    let offset = rise(0) * weights.x + rise(1) * weights.y + rise(2) * weights.z;
+    if offset.is_finite() {
+        offset
+    } else {
+        Vec3::ZERO
+    }
 }
 
 /// How finely extended lights are sampled.
@@ -54,6 +115,15 @@ impl Default for LightSamples {
 }
 
 impl LightSamples {
+    /// The lesser of each.
+    fn at_most(self, other: Self) -> Self {
+        Self {
+            per_light: self.per_light.min(other.per_light),
+            emissive: self.emissive.min(other.emissive),
+            environment: self.environment.min(other.environment),
+        }
+    }
+
     /// For surfels: their error averages out over many.
     pub const SURFEL: Self = Self {
         per_light: 16,
@@ -75,37 +145,62 @@ fn end_before(distance: f32) -> f32 {
 #[derive(Debug)]
 pub struct Lighting {
     lights: Vec<AreaLight>,
-    patterns: Patterns,
     environment: Environment,
     emitters: Emitters,
+    /// For receivers.
+    fine: Detail,
+    /// For surfels.
+    coarse: Detail,
+}
+
+/// The patterns of one [`LightSamples`].
+#[derive(Debug)]
+struct Detail {
+    lights: Patterns,
+    sky: Vec<Cell>,
+    emitters: EmitterPatterns,
+}
+
+impl Detail {
+    fn new(samples: LightSamples, environment: &Environment) -> Self {
+        Self {
+            lights: Patterns::new(samples.per_light),
+            sky: environment.cells(samples.environment),
+            emitters: EmitterPatterns::new(samples.emissive),
+        }
+    }
 }
 
 impl Lighting {
-    /// Prepare the scene's lights and emissive surfaces; textures are read here (missing ones are warnings).
+    /// Prepare the scene's lights and emissive surfaces; textures are read here (missing ones are warnings). `samples`
+    /// are those for receivers; surfels have at most [`LightSamples::SURFEL`].
     pub fn new(shader: &Shader<'_>, samples: LightSamples, diagnostics: &Diagnostics) -> Self {
         let lights = &shader.scene().lights;
+        let environment = Environment::new(lights, diagnostics);
         Self {
             lights: (lights.iter())
                 .filter_map(|light| AreaLight::new(light, diagnostics))
                 .collect(),
-            patterns: Patterns::new(samples.per_light),
-            environment: Environment::new(lights, samples, diagnostics),
-            emitters: Emitters::new(shader, samples),
+            emitters: Emitters::new(shader),
+            fine: Detail::new(samples, &environment),
+            coarse: Detail::new(samples.at_most(LightSamples::SURFEL), &environment),
+            environment,
         }
+    }
+
+    /// The same sources with the samples of surfels.
+    pub fn for_surfels(&self) -> SurfelLighting<'_> {
+        SurfelLighting(self)
     }
 
     /// Irradiance from all UsdLux lights but domes: closed form where unshadowed, times the ray-traced visible part.
     pub fn lights(&self, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        let origin = tracer.lift(point.position, point.geometric_normal);
-        (self.lights.iter())
-            .map(|light| light.irradiance(tracer, &self.patterns, point, origin))
-            .sum()
+        self.lights_by(&self.fine, tracer, point)
     }
 
     /// Irradiance from dome lights along unblocked directions; exact when nothing blocks.
     pub fn environment(&self, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        let origin = tracer.lift(point.position, point.geometric_normal);
-        self.environment.irradiance(tracer, point, origin)
+        self.environment_by(&self.fine, tracer, point)
     }
 
     /// Radiance of the environment from unit `direction` (towards the sky), summed over domes.
@@ -134,14 +229,57 @@ impl Lighting {
         !self.emitters.is_empty()
     }
 
-    /// Irradiance from emissive surfaces, complete: plane ones in closed form times their visible part, all others by
-    /// hemisphere and area samples combined by the balance heuristic.
+    /// Irradiance from emissive surfaces, complete: those of constant radiance almost exact where unoccluded, times
+    /// their visible part; textured ones by hemisphere and area samples combined by the balance heuristic.
     pub fn emitters(&self, shader: &Shader<'_>, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
+        self.emitters_by(&self.fine, shader, &Stand::new(tracer, point))
+    }
+
+    fn lights_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
+        let stand = Stand::new(tracer, point);
+        (self.lights.iter())
+            .map(|light| light.irradiance(&detail.lights, &stand))
+            .sum()
+    }
+
+    fn environment_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
+        (self.environment).irradiance(&detail.sky, &Stand::new(tracer, point))
+    }
+
+    fn emitters_by(&self, detail: &Detail, shader: &Shader<'_>, stand: &Stand<'_>) -> Vec3 {
         if self.emitters.is_empty() {
             return Vec3::ZERO;
         }
-        let origin = tracer.lift(point.position, point.geometric_normal);
-        self.emitters.irradiance(shader, tracer, point, origin)
+        (self.emitters).irradiance(&detail.emitters, shader, stand)
+    }
+}
+
+/// A [`Lighting`] sampled as coarsely as surfels allow. Its methods are those of the same names there.
+#[derive(Debug, Clone, Copy)]
+pub struct SurfelLighting<'a>(&'a Lighting);
+
+impl SurfelLighting<'_> {
+    /// Irradiance from all UsdLux lights but domes.
+    pub fn lights(&self, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
+        self.0.lights_by(&self.0.coarse, tracer, point)
+    }
+
+    /// The same with one ray a light, to a place on it that `number` chooses: exact out of penumbrae; in them either
+    /// nothing or all of the light, and in the mean over all numbers the truth.
+    pub fn glance(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
+        let stand = Stand::new(tracer, point);
+        (self.0.lights.iter())
+            .map(|light| light.glance(&self.0.coarse.lights, &stand, number))
+            .sum()
+    }
+
+    /// Irradiance from dome lights and emissive surfaces.
+    pub fn wide(&self, shader: &Shader<'_>, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
+        if !self.0.has_environment() && !self.0.has_emitters() {
+            return Vec3::ZERO;
+        }
+        self.0.environment_by(&self.0.coarse, tracer, point)
+            + (self.0).emitters_by(&self.0.coarse, shader, &Stand::new(tracer, point))
     }
 }
 

@@ -1,13 +1,12 @@
-//! Emissive surfaces of any number and texture: cosine-weighted rays that meet them, and points picked by power,
+//! Textured emissive surfaces: cosine-weighted rays that meet them, and points picked by power,
 //! combined by the balance heuristic (Veach 1997, §9.2).
 
 use super::emitters::EmissiveTriangle;
 use super::panels::barycentrics;
-use super::{ShadePoint, end_before, pattern};
+use super::stand::Stand;
 use crate::math::{Frame, luminance};
 use crate::scene::Scene;
 use crate::shading::{Shader, SurfacePoint};
-use crate::trace::Tracer;
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_1_PI, PI};
 
@@ -31,13 +30,11 @@ pub(super) struct SampledEmitters {
     sources: Vec<Source>,
     /// Pick density (per area) of every triangle of a prim, 0 where it does not emit; empty for other prims.
     densities: Vec<Vec<f32>>,
-    hemisphere: Vec<Vec3>,
-    squares: Vec<Vec2>,
 }
 
 impl SampledEmitters {
-    /// `rays` are divided between both kinds of samples.
-    pub(super) fn new(scene: &Scene, triangles: &[EmissiveTriangle], rays: u32) -> Self {
+    /// Cost O(n).
+    pub(super) fn new(scene: &Scene, triangles: &[EmissiveTriangle]) -> Self {
         // textured triangles may shine where their centroid is black
         let mean = triangles.iter().map(|t| luminance(t.emission)).sum::<f32>();
         #[expect(clippy::cast_precision_loss, reason = "a count")]
@@ -75,12 +72,7 @@ impl SampledEmitters {
                 cumulative,
             });
         }
-        Self {
-            sources,
-            densities,
-            hemisphere: pattern::hemisphere(rays / 2),
-            squares: pattern::square(rays / 2),
-        }
+        Self { sources, densities }
     }
 
     /// True if there is nothing to sample.
@@ -88,28 +80,19 @@ impl SampledEmitters {
         self.sources.is_empty()
     }
 
-    /// Irradiance at `point`; rays start at `origin`.
+    /// Irradiance by both kinds of samples.
     pub(super) fn irradiance(
         &self,
         shader: &Shader<'_>,
-        tracer: &Tracer,
-        point: &ShadePoint,
-        origin: Vec3,
+        stand: &Stand<'_>,
+        (hemisphere, squares): (&[Vec3], &[Vec2]),
     ) -> Vec3 {
-        if self.is_empty() {
-            return Vec3::ZERO;
-        }
-        let view = View {
-            shader,
-            tracer,
-            point,
-            origin,
-        };
-        let found: Vec<Option<Found>> = self.hemisphere_hits(&view);
+        let view = View { shader, stand };
+        let found: Vec<Option<Found>> = self.hemisphere_hits(&view, hemisphere);
         if let Some(irradiance) = surrounded(&found) {
             return irradiance;
         }
-        let (by_ray, by_area) = counts(&self.hemisphere, &self.squares);
+        let (by_ray, by_area) = counts(hemisphere, squares);
         let mut sum = Vec3::ZERO;
         for found in found.iter().flatten() {
             // density of either kind per solid angle
@@ -117,7 +100,7 @@ impl SampledEmitters {
             let area = by_area * found.density * found.squared / found.leaving;
             sum += found.emission * (found.cosine / (ray + area));
         }
-        for (&square, pick) in self.squares.iter().zip(0_u16..) {
+        for (&square, pick) in squares.iter().zip(0_u16..) {
             if let Some(found) = self.area_sample(&view, square, (f32::from(pick) * GOLDEN).fract())
             {
                 let ray = by_ray * found.cosine * FRAC_1_PI;
@@ -128,15 +111,13 @@ impl SampledEmitters {
         sum
     }
 
-    fn hemisphere_hits(&self, view: &View<'_>) -> Vec<Option<Found>> {
-        let frame = Frame::about(view.point.normal);
-        (self.hemisphere.iter())
+    fn hemisphere_hits(&self, view: &View<'_>, hemisphere: &[Vec3]) -> Vec<Option<Found>> {
+        let frame = Frame::about(view.stand.point.normal);
+        (hemisphere.iter())
             .map(|&local| {
                 let direction = frame.to_world(local);
-                if view.point.geometric_normal.dot(direction) <= 0.0 {
-                    return None;
-                }
-                let hit = view.tracer.closest(view.origin, direction, f32::INFINITY)?;
+                let start = view.stand.start(direction)?;
+                let hit = (view.stand.tracer).closest(start, direction, f32::INFINITY)?;
                 let density = *self.densities[hit.prim.index()].get(hit.triangle as usize)?;
                 if !hit.front || density <= 0.0 {
                     return None;
@@ -162,18 +143,14 @@ impl SampledEmitters {
         let source = &self.sources[index];
         let (u, v) = barycentrics(square);
         let [a, b, c] = source.corners;
-        let offset = a * (1.0 - u - v) + b * u + c * v - view.origin;
+        let offset = a * (1.0 - u - v) + b * u + c * v - view.stand.origin;
         let squared = offset.length_squared();
         let direction = offset.try_normalize()?;
-        let cosine = view.point.normal.dot(direction);
+        let cosine = view.stand.point.normal.dot(direction);
         let leaving = -(b - a).cross(c - a).normalize_or_zero().dot(direction);
-        let is_facing =
-            cosine > 0.0 && leaving > 0.0 && view.point.geometric_normal.dot(direction) > 0.0;
-        if !is_facing
-            || view
-                .tracer
-                .occluded(view.origin, direction, end_before(squared.sqrt()))
-        {
+        let place = view.stand.origin + offset;
+        let is_facing = cosine > 0.0 && leaving > 0.0;
+        if !is_facing || !view.stand.sees(place, direction) {
             return None;
         }
         let weights = if source.is_mirrored { (v, u) } else { (u, v) };
@@ -189,9 +166,7 @@ impl SampledEmitters {
 
 struct View<'a> {
     shader: &'a Shader<'a>,
-    tracer: &'a Tracer,
-    point: &'a ShadePoint,
-    origin: Vec3,
+    stand: &'a Stand<'a>,
 }
 
 /// A sample that sees emission.

@@ -150,6 +150,15 @@ impl Mesh {
             .unwrap_or_else(|| self.plane_normal(t))
     }
 
+    /// Authored or computed normals at the corners of triangle `t`; `None` if it is shaded flat.
+    pub fn corner_normals(&self, t: usize) -> Option<[Vec3; 3]> {
+        match &self.normals {
+            Normals::Flat => None,
+            Normals::Vertex(values) => Some(self.triangles[t].map(|i| values[i as usize])),
+            Normals::Corner { corners, values } => Some(corners[t].map(|i| values[i as usize])),
+        }
+    }
+
     /// Unit plane normal of triangle `t`, or zero if it has no area.
     pub fn plane_normal(&self, t: usize) -> Vec3 {
         let [a, b, c] = self.corners(t).map(|p| p.as_dvec3());

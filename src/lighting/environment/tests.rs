@@ -1,29 +1,43 @@
 //! Environments against brute force over their texels.
 
+use super::super::ShadePoint;
+use super::super::cells::even_map;
 use super::*;
 use crate::scene::Light;
+use crate::trace::Tracer;
 use crate::trace::testing::{Random, mesh, scene};
 use glam::{Affine3A, DVec3};
 
-const SAMPLES: LightSamples = LightSamples {
-    per_light: 16,
-    emissive: 16,
-    environment: 512,
-};
+const CELLS: u32 = 512;
 
-fn environment(map: Option<Picture>, radiance: Vec3, samples: LightSamples) -> Environment {
+/// An environment with its cells.
+struct Divided {
+    environment: Environment,
+    cells: Vec<Cell>,
+}
+
+impl Divided {
+    fn irradiance(&self, tracer: &Tracer, point: &ShadePoint, origin: Vec3) -> Vec3 {
+        let stand = Stand::new(tracer, point).moved_to(origin);
+        self.environment.irradiance(&self.cells, &stand)
+    }
+}
+
+fn divided(environment: Environment) -> Divided {
+    Divided {
+        cells: environment.cells(CELLS),
+        environment,
+    }
+}
+
+fn environment(map: Option<Latlong>, radiance: Vec3) -> Divided {
+    let uniform = map.is_none().then_some(radiance);
     let domes = vec![Dome {
         map,
         radiance,
         world_from_dome: Mat3::from_rotation_x(0.3) * Mat3::from_rotation_y(1.0),
     }];
-    let uniform = domes[0].map.is_none().then_some(radiance);
-    let cells = build_cells(&domes, samples.environment as usize, uniform.is_some());
-    Environment {
-        domes,
-        cells,
-        uniform,
-    }
+    divided(Environment { domes, uniform })
 }
 
 fn open() -> Tracer {
@@ -35,13 +49,14 @@ fn facing(normal: Vec3) -> ShadePoint {
         position: Vec3::ZERO,
         normal,
         geometric_normal: normal,
+        smooth_offset: None,
     }
 }
 
-fn smooth_sky() -> Picture {
-    let mut map = Picture::uniform(256, 128);
+fn smooth_sky() -> Latlong {
+    let mut map = even_map(256, 128);
     for i in 0..map.pixels.len() {
-        let d = map.direction((i % 256) as f32 + 0.5, (i / 256) as f32 + 0.5);
+        let d = map.direction(i % 256, i / 256);
         let glow = (4.0 * (d.dot(Vec3::new(0.6, 0.5, 0.6)) - 1.0)).exp();
         map.pixels[i] = Vec3::new(0.4, 0.6, 1.0) * (0.3 + 0.7 * d.y.max(-0.2))
             + glow * Vec3::new(3.0, 2.0, 1.0);
@@ -49,14 +64,14 @@ fn smooth_sky() -> Picture {
     map
 }
 
-fn brute_force(environment: &Environment, normal: Vec3) -> Vec3 {
-    let dome = &environment.domes[0];
+fn brute_force(environment: &Divided, normal: Vec3) -> Vec3 {
+    let dome = &environment.environment.domes[0];
     let map = dome.map.as_ref().unwrap();
     let mut sum = DVec3::ZERO;
     for y in 0..map.height {
         let solid_angle = f64::from(map.solid_angle(y));
         for x in 0..map.width {
-            let direction = dome.world_from_dome * map.direction(x as f32 + 0.5, y as f32 + 0.5);
+            let direction = dome.world_from_dome * map.direction(x, y);
             let cosine = f64::from(direction.dot(normal).max(0.0));
             sum += map.pixels[y * map.width + x].as_dvec3() * cosine * solid_angle;
         }
@@ -64,7 +79,7 @@ fn brute_force(environment: &Environment, normal: Vec3) -> Vec3 {
     sum.as_vec3() * dome.radiance
 }
 
-fn worst_error(environment: &Environment, count: u64) -> f32 {
+fn worst_error(environment: &Divided, count: u64) -> f32 {
     let (tracer, mut random) = (open(), Random(count));
     let mean = PI * brute_force(environment, Vec3::Y).element_sum() / PI;
     (0..count)
@@ -79,7 +94,7 @@ fn worst_error(environment: &Environment, count: u64) -> f32 {
 
 #[test]
 fn unblocked_irradiance_of_a_smooth_sky_is_within_half_a_percent() {
-    let sky = environment(Some(smooth_sky()), Vec3::ONE, SAMPLES);
+    let sky = environment(Some(smooth_sky()), Vec3::ONE);
     let worst = worst_error(&sky, 60);
     assert!(worst < 5e-3, "{worst}");
 }
@@ -88,7 +103,7 @@ fn unblocked_irradiance_of_a_smooth_sky_is_within_half_a_percent() {
 fn unblocked_irradiance_with_a_sun_of_1e6_in_one_texel_is_within_a_percent() {
     let mut map = smooth_sky();
     map.pixels[40 * 256 + 100] = Vec3::splat(1e6);
-    let sky = environment(Some(map), Vec3::ONE, SAMPLES);
+    let sky = environment(Some(map), Vec3::ONE);
     let worst = worst_error(&sky, 60);
     assert!(worst < 1e-2, "{worst}");
 }
@@ -96,7 +111,7 @@ fn unblocked_irradiance_with_a_sun_of_1e6_in_one_texel_is_within_a_percent() {
 #[test]
 fn uniform_sky_gives_pi_l_and_half_of_it_beside_a_wall() {
     let radiance = Vec3::new(1.0, 2.0, 0.0);
-    let sky = environment(None, radiance, SAMPLES);
+    let sky = environment(None, radiance);
     let open = sky.irradiance(&open(), &facing(Vec3::Y), Vec3::ZERO);
     assert!((open - PI * radiance).abs().max_element() < 1e-5);
     let far = 1e3;
@@ -121,10 +136,10 @@ fn uniform_sky_gives_pi_l_and_half_of_it_beside_a_wall() {
 #[test]
 fn a_blocked_sun_leaves_the_sky() {
     let mut map = smooth_sky();
-    let sky_alone = environment(Some(map.clone()), Vec3::ONE, SAMPLES);
+    let sky_alone = environment(Some(map.clone()), Vec3::ONE);
     map.pixels[40 * 256 + 100] = Vec3::splat(1e6);
-    let with_sun = environment(Some(map.clone()), Vec3::ONE, SAMPLES);
-    let sun = with_sun.domes[0].world_from_dome * map.direction(100.5, 40.5);
+    let with_sun = environment(Some(map.clone()), Vec3::ONE);
+    let sun = with_sun.environment.domes[0].world_from_dome * map.direction(100, 40);
     let across = sun.any_orthonormal_vector();
     let (a, b) = (across * 0.3, sun.cross(across) * 0.3);
     let shade = [[sun - a - b, sun + a - b, sun + b]];
@@ -139,11 +154,16 @@ fn a_blocked_sun_leaves_the_sky() {
 
 #[test]
 fn domes_look_up_their_map_in_their_own_frame_and_add_up() {
-    let sky = environment(Some(smooth_sky()), Vec3::splat(2.0), SAMPLES);
+    let sky = environment(Some(smooth_sky()), Vec3::splat(2.0));
     let local = Vec3::new(0.6, 0.5, 0.6).normalize();
-    let world = sky.domes[0].world_from_dome * local;
+    let world = sky.environment.domes[0].world_from_dome * local;
     let truth = smooth_sky().radiance(local) * 2.0;
-    assert!((sky.radiance(world) - truth).abs().max_element() < 0.2);
+    assert!(
+        (sky.environment.radiance(world) - truth)
+            .abs()
+            .max_element()
+            < 0.2
+    );
     let dome = |radiance: f32| Light {
         path: "/dome".into(),
         kind: LightKind::Dome { texture: None },
@@ -153,12 +173,9 @@ fn domes_look_up_their_map_in_their_own_frame_and_add_up() {
         shaping: None,
         casts_shadows: true,
     };
-    let two = Environment::new(
-        &[dome(1.0), dome(0.5), dome(0.0)],
-        SAMPLES,
-        &Diagnostics::default(),
-    );
-    assert_eq!(two.uniform, Some(Vec3::splat(1.5)));
+    let lights = [dome(1.0), dome(0.5), dome(0.0)];
+    let two = divided(Environment::new(&lights, &Diagnostics::default()));
+    assert_eq!(two.environment.uniform, Some(Vec3::splat(1.5)));
     let irradiance = two.irradiance(&open(), &facing(Vec3::X), Vec3::ZERO);
     assert!((irradiance - 1.5 * PI).abs().max_element() < 1e-4);
 }
@@ -177,7 +194,7 @@ fn a_missing_texture_is_a_warning_and_an_even_sky() {
         shaping: None,
         casts_shadows: true,
     };
-    let sky = Environment::new(&[dome], SAMPLES, &diagnostics);
+    let sky = Environment::new(&[dome], &diagnostics);
     assert_eq!(diagnostics.warnings().len(), 1);
     assert_eq!(sky.uniform, Some(Vec3::ONE));
 }

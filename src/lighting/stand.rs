@@ -1,0 +1,103 @@
+//! How a receiver stands on its surface: where its shadow rays start.
+//!
+//! Directions under the plane of the receiver's triangle and yet above its shading horizon occur on coarse smooth
+//! meshes. Rays along them would meet the triangle itself, which prints the facets into the shadow's edge. They start
+//! where the smooth surface is that the triangle stands for: Hanika, *Hacking the Shadow Terminator* (2021). Directions
+//! above the plane start on the triangle, so that nothing else changes.
+
+use super::{ShadePoint, end_before};
+use crate::trace::Tracer;
+use glam::Vec3;
+use std::cell::OnceCell;
+
+/// Rays to an emissive surface end at least this many lifting heights (along its normal) before it: it must not block
+/// them itself.
+const CLEARANCE: f32 = 0.5;
+
+/// A receiver with the places its rays start from.
+#[derive(Debug)]
+pub(super) struct Stand<'a> {
+    pub(super) tracer: &'a Tracer,
+    pub(super) point: &'a ShadePoint,
+    /// Start of rays above the plane.
+    pub(super) origin: Vec3,
+    /// Start of those below it, once asked for; `None` = they see nothing.
+    below: OnceCell<Option<Vec3>>,
+}
+
+impl<'a> Stand<'a> {
+    pub(super) fn new(tracer: &'a Tracer, point: &'a ShadePoint) -> Self {
+        Self {
+            tracer,
+            point,
+            origin: tracer.lift(point.position, point.geometric_normal),
+            below: OnceCell::new(),
+        }
+    }
+
+    /// The same receiver with rays above the plane starting at `origin`.
+    pub(super) fn moved_to(&self, origin: Vec3) -> Self {
+        Self {
+            origin,
+            below: OnceCell::new(),
+            ..*self
+        }
+    }
+
+    fn below(&self) -> Option<Vec3> {
+        *self.below.get_or_init(|| {
+            let offset = self.point.smooth_offset?;
+            let smooth = self
+                .tracer
+                .lift(self.point.position + offset, self.point.normal);
+            let way = smooth - self.origin;
+            let distance = way.length();
+            // a surface that touches the triangle may lie in between
+            let is_free =
+                distance == 0.0 || !self.tracer.occluded(self.origin, way / distance, distance);
+            is_free.then_some(smooth)
+        })
+    }
+
+    /// Where a ray towards unit `direction` starts, if it leaves the surface.
+    pub(super) fn start(&self, direction: Vec3) -> Option<Vec3> {
+        if self.point.geometric_normal.dot(direction) > 0.0 {
+            Some(self.origin)
+        } else {
+            (self.point.normal.dot(direction) > 0.0)
+                .then(|| self.below())
+                .flatten()
+        }
+    }
+
+    /// True if nothing is in unit `direction`.
+    pub(super) fn sees_sky(&self, direction: Vec3) -> bool {
+        self.start(direction)
+            .is_some_and(|start| !self.tracer.occluded(start, direction, f32::INFINITY))
+    }
+
+    /// True if nothing is between the receiver and `position` on an emissive surface, which lies in unit `direction`
+    /// and whose normal makes the cosine `leaving` with the way back.
+    pub(super) fn sees_surface(&self, position: Vec3, direction: Vec3, leaving: f32) -> bool {
+        let Some(start) = self.start(direction) else {
+            return false;
+        };
+        let offset = position - start;
+        let distance = offset.length();
+        let clearance = CLEARANCE * self.tracer.lift_height(self.point.position);
+        let end = end_before(distance).min(distance - clearance / leaving.max(f32::MIN_POSITIVE));
+        end <= 0.0 || !self.tracer.occluded(start, offset / distance, end)
+    }
+
+    /// True if nothing is between the receiver and `position`, which lies in unit `direction`.
+    pub(super) fn sees(&self, position: Vec3, direction: Vec3) -> bool {
+        self.start(direction).is_some_and(|start| {
+            let offset = position - start;
+            let distance = offset.length();
+            distance == 0.0
+                || !self
+                    .tracer
+                    .occluded(start, offset / distance, end_before(distance))
+        })
+    }
+}
