@@ -58,8 +58,10 @@ pub mod bake;
 pub mod bounce;
 pub mod gather;
 pub mod octree;
+pub mod pilot;
 pub mod receivers;
 pub mod stage;
+pub mod verify;
 pub mod writers;
 
 // the whole

@@ -80,6 +80,18 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "writers",
         &["math", "diagnostics", "scene", "surfels", "results"],
     ),
+    ("pilot", &["diagnostics", "receivers", "gather", "results"]),
+    (
+        "verify",
+        &[
+            "diagnostics",
+            "receivers",
+            "gather",
+            "pilot",
+            "results",
+            "writers",
+        ],
+    ),
     // the whole
     (
         "pipeline",
@@ -100,6 +112,8 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "gather",
             "bounce",
             "writers",
+            "pilot",
+            "verify",
         ],
     ),
     (
@@ -112,6 +126,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "scene",
             "stage",
             "writers",
+            "verify",
         ],
     ),
 ];
@@ -126,6 +141,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("indicatif", &["cli"]),
     ("ctrlc", &["cli"]),
     ("anyhow", &["cli"]),
+    ("maud", &["verify"]),
     ("memmap2", &["stage"]),
 ];
 

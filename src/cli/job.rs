@@ -2,11 +2,11 @@
 
 use super::args::{
     BakeArgs, Cli, Command, EngineName, ExrLayout, GatherArgs, InstancesName, InterpolationName,
-    OutputArgs, PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor,
+    OutputArgs, PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
-    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,
+    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob, VerifyJob,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
@@ -23,6 +23,7 @@ impl Command {
             Self::Bake(args) => &args.stage,
             Self::Render(args) => &args.stage,
             Self::Info(args) => &args.stage,
+            Self::Verify(args) => &args.stage,
         }
     }
 }
@@ -37,6 +38,7 @@ pub(super) fn from_args(cli: Cli, command_line: &[String]) -> anyhow::Result<Job
         Command::Bake(args) => Job::Bake(bake(args, command_line)?),
         Command::Render(args) => Job::Render(render(args, command_line)?),
         Command::Info(args) => Job::Info(stage(args.stage, command_line)?),
+        Command::Verify(args) => Job::Verify(verify(args, command_line)?),
     })
 }
 
@@ -134,9 +136,11 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
         aovs,
         bounces: args.bounces,
         engine: match args.gather {
-            EngineName::Auto | EngineName::Rays => EngineChoice::Rays,
+            EngineName::Auto => EngineChoice::Auto,
+            EngineName::Rays => EngineChoice::Rays,
             EngineName::Paper => EngineChoice::Paper,
         },
+        tolerance: args.tolerance,
         rays: args.rays,
         max_solid_angle: args.max_solid_angle,
         raster_resolution: args.raster_resolution,
@@ -207,3 +211,29 @@ fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob
     }
     Ok(job)
 }
+
+fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob> {
+    Ok(VerifyJob {
+        stage: stage(args.stage, command_line)?,
+        output: output(args.output, &["html"])?,
+        gather: GatherJob {
+            aovs: Vec::new(),
+            bounces: args.bounces,
+            engine: EngineChoice::Auto,
+            tolerance: None,
+            rays: args.truth_rays,
+            max_solid_angle: PAPER.0,
+            raster_resolution: PAPER.1,
+            max_distance: args.max_distance,
+            clouds: Vec::new(),
+            spacing: args.surfels.spacing,
+            surfels: args.surfels.surfels,
+        },
+        camera: args.camera,
+        receivers: args.receivers as usize,
+        truth_rays: args.truth_rays,
+    })
+}
+
+/// The paper's knobs, which a sweep replaces.
+const PAPER: (f32, u32) = (0.03, 12);

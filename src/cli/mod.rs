@@ -12,6 +12,7 @@ mod job;
 mod log_sink;
 mod print;
 pub mod progress;
+mod verify;
 
 use crate::diagnostics::{CancelToken, Diagnostics};
 use crate::pipeline;
@@ -101,6 +102,10 @@ fn run(job: &pipeline::Job, settings: &RunSettings) -> anyhow::Result<()> {
     if let pipeline::Job::Info(stage) = job {
         let info = pipeline::info(stage, &diagnostics)?;
         return info::print(&info, settings.json);
+    }
+    if let pipeline::Job::Verify(job) = job {
+        let report = pipeline::verify(job, &diagnostics)?;
+        return verify::print(&report, settings.json, settings.quiet);
     }
     match pipeline::run(job, &diagnostics) {
         Ok(report) => print::report(&report, settings.json, settings.quiet),

@@ -58,7 +58,10 @@ pub fn estimate(
     diagnostics: &Diagnostics,
 ) -> Result<Vec<ErrorEstimate>, Cancelled> {
     let picked = pick(receivers.len(), reference.cost);
-    let aovs = measured(results);
+    let uniform = scene
+        .lighting
+        .is_some_and(|light| light.has_environment() && light.uniform_environment().is_some());
+    let aovs = measured(results, uniform);
     if picked.is_empty() || aovs.is_empty() {
         return Ok(Vec::new());
     }
@@ -69,24 +72,38 @@ pub fn estimate(
 
 /// AOVs of `results` that a better look at the hemisphere can change. Not the bent normal: where next to nothing is
 /// open a single ray decides its direction, so that its error says nothing that the visibility's does not say better.
-fn measured(results: &Results) -> Vec<Aov> {
+/// Nor direct light, nor an environment unless it is `uniform`: they have samples of their own.
+fn measured(results: &Results, uniform: bool) -> Vec<Aov> {
+    let depends = |&aov: &Aov| {
+        matches!(aov, Aov::Occlusion | Aov::Visibility)
+            || aov.needs_indirect()
+            || (uniform && aov.needs_environment())
+    };
     results
         .buffers
         .iter()
         .map(|buffer| buffer.aov)
-        .filter(|&aov| aov.needs_hemisphere() && aov != Aov::BentNormal)
+        .filter(depends)
         .collect()
 }
 
-/// Indices of receivers spread over all `count`, as many as the budget allows; empty below [`FEWEST`]. One from each of
-/// equal runs, at golden-ratio places: equal steps would fall into step with the rows of a grid.
+/// Indices of receivers spread over all `count`, as many as the budget allows; empty below [`FEWEST`].
 fn pick(count: usize, cost: u32) -> Vec<usize> {
     let affordable = count / (SHARE_OF_RUN * (cost.max(1) as usize));
     let picks = affordable.min(MOST);
     if picks < FEWEST {
         return Vec::new();
     }
-    let run = count / picks;
+    spread(count, picks)
+}
+
+/// `picks` ascending indices (all, if there are no more) below `count`. One from each of equal runs, at golden-ratio
+/// places: equal steps would fall into step with the rows of a grid.
+pub fn spread(count: usize, picks: usize) -> Vec<usize> {
+    if picks >= count {
+        return (0..count).collect();
+    }
+    let run = count / picks.max(1);
     (0..picks)
         .zip(0..)
         .map(|(k, point)| {

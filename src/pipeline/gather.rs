@@ -1,6 +1,7 @@
 //! Surfels, octree, bounces, gather and error estimate of one frame.
 
 use super::Error;
+use super::choice::{self, Chosen};
 use super::job::{EngineChoice, GatherJob};
 use super::report::{Report, timed};
 use super::world::World;
@@ -17,9 +18,10 @@ use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use crate::stage::cloud;
 use crate::surfels::SurfelCloud;
+use std::cell::OnceCell;
 
 /// The surfels that shine.
-enum Light {
+pub(super) enum Light {
     /// Nobody asks for reflected light.
     None,
     /// Diced from the scene.
@@ -29,7 +31,7 @@ enum Light {
 }
 
 impl Light {
-    fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         match self {
             Self::None => 0,
             Self::Baked(baked) => baked.cloud.len(),
@@ -67,61 +69,135 @@ pub(super) fn gather(
     report.counts.gathered = report.counts.receivers;
     let light = light(world, receivers, aovs, job, (&mut *report, diagnostics))?;
     report.counts.surfels = report.counts.surfels.max(light.len());
-    let settings = RaysSettings {
-        rays: job.rays,
-        max_distance: job.max_distance,
-        ..RaysSettings::default()
+    let stand = Stand::new(world, &light, receivers, aovs, job);
+    let choice = choice::choose(&stand, report, diagnostics)?;
+    let lighting = choice.lighting(world, diagnostics);
+    let scene = GatherScene {
+        lighting: Some(lighting.as_ref().unwrap_or(&world.lighting)),
+        ..stand.scene()
     };
-    match job.engine {
-        EngineChoice::Rays => {
-            let engine = RaysEngine::new(&world.tracer, light.source(world), settings);
-            let reference =
-                RaysEngine::new(&world.tracer, light.source(world), settings.reference());
+    let results = match choice.engine {
+        Chosen::Rays(rays) => {
+            let settings = stand.rays_settings(rays);
+            let engine = stand.rays_with(settings);
             let reference = Reference {
-                engine: &reference,
+                engine: &stand.rays_with(settings.reference()),
                 cost: settings.reference().rays / settings.rays.max(1),
                 error_share: RaysSettings::REFERENCE_ERROR_SHARE,
             };
             see(
-                world,
+                &stand,
+                scene,
                 (&engine, reference),
-                receivers,
-                aovs,
-                (report, diagnostics),
-            )
+                (&mut *report, diagnostics),
+            )?
         }
-        EngineChoice::Paper => {
-            let octree = timed(&mut report.seconds.octree, || {
-                Octree::new(&whole_cloud(&light))
-            });
-            report.counts.nodes = report.counts.nodes.max(octree.node_count());
-            let engine = PaperEngine::new(
-                &octree,
-                PaperSettings {
-                    max_solid_angle: job.max_solid_angle,
-                    raster_resolution: job.raster_resolution,
-                    max_distance: job.max_distance,
-                },
-            );
-            let reference = RaysEngine::new(&world.tracer, light.source(world), settings);
+        Chosen::Paper(knobs) => {
+            timed(&mut report.seconds.octree, || stand.octree());
+            let engine = stand.paper(knobs);
             let reference = Reference {
-                engine: &reference,
+                engine: &stand.rays_with(stand.rays_settings(job.rays)),
                 cost: PAPER_REFERENCE_COST,
                 error_share: 0.0,
             };
             see(
-                world,
+                &stand,
+                scene,
                 (&engine, reference),
-                receivers,
-                aovs,
-                (report, diagnostics),
-            )
+                (&mut *report, diagnostics),
+            )?
         }
-    }
+    };
+    report.counts.nodes = report.counts.nodes.max(stand.node_count());
+    choice::judge(report, diagnostics);
+    Ok(results)
 }
 
 /// Cost of a reference receiver by rays over one by the paper's engine: measured between 2 and 4 on Cornell boxes.
 const PAPER_REFERENCE_COST: u32 = 4;
+
+/// Everything a gather of one frame stands on.
+pub(super) struct Stand<'a> {
+    world: &'a World<'a>,
+    light: &'a Light,
+    source: Option<RadianceSource<'a>>,
+    octree: OnceCell<Octree>,
+    pub(super) receivers: &'a Receivers,
+    pub(super) aovs: &'a [Aov],
+    pub(super) job: &'a GatherJob,
+}
+
+impl<'a> Stand<'a> {
+    pub(super) fn new(
+        world: &'a World<'a>,
+        light: &'a Light,
+        receivers: &'a Receivers,
+        aovs: &'a [Aov],
+        job: &'a GatherJob,
+    ) -> Self {
+        Self {
+            world,
+            light,
+            source: light.source(world),
+            octree: OnceCell::new(),
+            receivers,
+            aovs,
+            job,
+        }
+    }
+
+    pub(super) fn world(&self) -> &'a World<'a> {
+        self.world
+    }
+
+    pub(super) fn scene(&self) -> GatherScene<'a> {
+        GatherScene {
+            shader: self.world.shader,
+            tracer: &self.world.tracer,
+            lighting: Some(&self.world.lighting),
+        }
+    }
+
+    pub(super) fn rays_settings(&self, rays: u32) -> RaysSettings {
+        RaysSettings {
+            rays,
+            max_distance: self.job.max_distance,
+            ..RaysSettings::default()
+        }
+    }
+
+    pub(super) fn rays_with(&self, settings: RaysSettings) -> RaysEngine<'a> {
+        RaysEngine::new(&self.world.tracer, self.source.clone(), settings)
+    }
+
+    /// The paper's engine with these knobs: solid angle and resolution. Builds the octree if nobody has.
+    pub(super) fn paper(
+        &self,
+        (max_solid_angle, raster_resolution): (f32, u32),
+    ) -> PaperEngine<'_> {
+        let settings = PaperSettings {
+            max_solid_angle,
+            raster_resolution,
+            max_distance: self.job.max_distance,
+        };
+        PaperEngine::new(self.octree(), settings)
+    }
+
+    /// Surfels, 0 where no light is asked for.
+    pub(super) fn surfel_count(&self) -> usize {
+        self.light.len()
+    }
+
+    /// The octree over all surfels, built when first asked for.
+    pub(super) fn octree(&self) -> &Octree {
+        self.octree
+            .get_or_init(|| Octree::new(&whole_cloud(self.light)))
+    }
+
+    fn node_count(&self) -> usize {
+        self.octree.get().map_or(0, Octree::node_count)
+    }
+}
 
 /// All surfels as one cloud for the octree.
 fn whole_cloud(light: &Light) -> SurfelCloud {
@@ -132,45 +208,35 @@ fn whole_cloud(light: &Light) -> SurfelCloud {
     }
 }
 
-/// Gather with `engine` and estimate its error against `reference`.
+/// Gather with `engine` and, where no pilot has, estimate its error against `reference`.
 fn see(
-    world: &World<'_>,
+    stand: &Stand<'_>,
+    scene: GatherScene<'_>,
     (engine, reference): (&dyn Engine, Reference<'_>),
-    receivers: &Receivers,
-    aovs: &[Aov],
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Results, Error> {
-    let scene = GatherScene {
-        shader: world.shader,
-        tracer: &world.tracer,
-        lighting: Some(&world.lighting),
-    };
+    let (receivers, aovs) = (stand.receivers, stand.aovs);
     report.set("gather", engine.name());
     let results = timed(&mut report.seconds.gather, || {
         gather::gather(scene, engine, receivers, aovs, diagnostics)
     })?;
+    if report.error.is_of_pilot {
+        return Ok(results);
+    }
     let estimates = timed(&mut report.seconds.gather, || {
         gather::estimate(scene, reference, receivers, &results, diagnostics)
     })?;
-    for estimate in estimates {
-        let worst = report
-            .error
-            .aovs
-            .entry(estimate.aov.name().to_owned())
-            .or_default();
-        *worst = worst.max(estimate.relative_rmse);
-    }
-    report.error.estimate = report.error.aovs.values().copied().reduce(f64::max);
-    report.error.method = format!(
+    let method = format!(
         "{} on receivers of the run against {} as reference",
         engine.name(),
         reference.engine.name()
     );
+    report.error.add(&estimates, method);
     Ok(results)
 }
 
 /// The surfels `aovs` need: baked (and bounced), read from files, or none.
-fn light(
+pub(super) fn light(
     world: &World<'_>,
     receivers: &Receivers,
     aovs: &[Aov],
@@ -179,7 +245,7 @@ fn light(
 ) -> Result<Light, Error> {
     let shines = !world.lighting.is_dark() || !job.clouds.is_empty();
     let indirect = shines && job.bounces > 0 && aovs.iter().any(|aov| aov.needs_indirect());
-    if !indirect && job.engine == EngineChoice::Rays {
+    if !indirect && job.engine != EngineChoice::Paper {
         return Ok(Light::None);
     }
     if !job.clouds.is_empty() {
@@ -268,7 +334,10 @@ fn bounced(
 pub(super) fn record(job: &GatherJob, aovs: &[Aov], report: &mut Report) {
     report.set("aov", aovs.iter().map(|aov| aov.name()).collect::<Vec<_>>());
     report.set("bounces", job.bounces);
-    report.set("rays", job.rays);
+    report.error.tolerance = job.tolerance;
+    if job.tolerance.is_none() {
+        report.set("rays", job.rays);
+    }
     report.set("max_solid_angle", f64::from(job.max_solid_angle));
     report.set("raster_resolution", job.raster_resolution);
     report.set("max_distance", job.max_distance.map(f64::from));

@@ -48,6 +48,8 @@ impl StageJob {
 /// Which engine gathers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EngineChoice {
+    /// The cheapest that meets the tolerance; without a tolerance, rays.
+    Auto,
     /// Ray tracing, radiance from surfels.
     Rays,
     /// The published method.
@@ -63,7 +65,9 @@ pub struct GatherJob {
     pub bounces: u32,
     /// The engine.
     pub engine: EngineChoice,
-    /// Rays a receiver.
+    /// Relative RMSE to meet; `None`: the knobs below say what to do.
+    pub tolerance: Option<f64>,
+    /// Rays a receiver (without a tolerance).
     pub rays: u32,
     /// sr.
     pub max_solid_angle: f32,
@@ -155,6 +159,23 @@ pub struct OutputJob {
     pub dry_run: bool,
 }
 
+/// `surflux verify`.
+#[derive(Debug, Clone)]
+pub struct VerifyJob {
+    /// The stage.
+    pub stage: StageJob,
+    /// The page, if one is wanted.
+    pub output: OutputJob,
+    /// Dicing, distances and bounces; engines and AOVs are all of them.
+    pub gather: GatherJob,
+    /// Path or name of the camera of the third set of receivers.
+    pub camera: Option<String>,
+    /// Receivers of each set.
+    pub receivers: usize,
+    /// Rays of each half of the truth.
+    pub truth_rays: u32,
+}
+
 /// Anything surflux does.
 #[derive(Debug, Clone)]
 pub enum Job {
@@ -166,4 +187,6 @@ pub enum Job {
     Render(RenderJob),
     /// Tell.
     Info(StageJob),
+    /// Measure speed against error.
+    Verify(VerifyJob),
 }

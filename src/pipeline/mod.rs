@@ -1,6 +1,7 @@
 //! `run(Job)`: the steps in order; the only module that knows them all.
 
 mod bake;
+mod choice;
 mod gather;
 mod info;
 mod job;
@@ -8,14 +9,16 @@ mod outputs;
 mod points;
 mod render;
 mod report;
+mod verify;
 mod view;
 mod world;
 
 pub use info::{GeometrySummary, LightSummary, MaterialSummary, RenderSummary, StageSummary, info};
 pub use job::{
-    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,
+    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob, VerifyJob,
 };
 pub use report::{Counts, ErrorReport, Report, Seconds};
+pub use verify::verify;
 
 use crate::diagnostics::{Cancelled, Diagnostics};
 use std::path::PathBuf;
@@ -67,6 +70,14 @@ pub enum Error {
     /// A render without a name to write to.
     #[error("render needs --output NAME.exr: the stage has no render product that names a file")]
     NoProduct,
+    /// A page could not be written.
+    #[error("cannot write {}", path.display())]
+    WritePage {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
     /// A bake without meshes.
     #[error("{}: no mesh is on the stage that values could be written to", path.display())]
     NothingToBake {
@@ -75,7 +86,7 @@ pub enum Error {
     },
 }
 
-/// Do `job`; returns its statistics.
+/// Do `job`; returns its statistics. [`fn@info`] and [`fn@verify`] have reports of their own.
 ///
 /// # Errors
 /// The first thing that went wrong; files already complete stay, nothing partial does.
@@ -85,7 +96,7 @@ pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
         Job::Points(job) => points::run(job, diagnostics)?,
         Job::Bake(job) => bake::run(job, diagnostics)?,
         Job::Render(job) => render::run(job, diagnostics)?,
-        Job::Info(stage) => Report::new(&stage.command),
+        Job::Info(stage) | Job::Verify(VerifyJob { stage, .. }) => Report::new(&stage.command),
     };
     // Who interrupts the last write is not told of a success; its file is complete.
     diagnostics.check()?;

@@ -1,8 +1,12 @@
 //! What a run did, as `--json` prints it (DESIGN: `surflux`, `command`, `usd`, `seconds`, `counts`, …).
 
+use super::choice::Choice;
 use crate::diagnostics::Warning;
+use crate::gather::ErrorEstimate;
+use crate::results::Aov;
 use crate::stage::{self, Source};
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -43,14 +47,29 @@ pub struct Counts {
 /// How good the result is.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct ErrorReport {
-    /// What was asked for; none yet.
+    /// What was asked for.
     pub tolerance: Option<f64>,
     /// Largest estimated relative RMSE over the AOVs.
     pub estimate: Option<f64>,
     /// How it was estimated.
     pub method: String,
-    /// Estimate of each AOV.
-    pub aovs: std::collections::BTreeMap<String, f64>,
+    /// Estimate of each AOV that an error can be told of.
+    pub aovs: BTreeMap<String, f64>,
+    /// True while the pilot's estimate stands for the run at hand.
+    #[serde(skip)]
+    pub(super) is_of_pilot: bool,
+}
+
+impl ErrorReport {
+    /// Keep the largest estimate of each AOV over frames and views.
+    pub(super) fn add(&mut self, estimates: &[ErrorEstimate], method: String) {
+        for estimate in estimates {
+            let worst = self.aovs.entry(estimate.aov.name().to_owned()).or_default();
+            *worst = worst.max(estimate.relative_rmse);
+        }
+        self.estimate = self.aovs.values().copied().reduce(f64::max);
+        self.method = method;
+    }
 }
 
 /// Statistics of one run.
@@ -76,6 +95,9 @@ pub struct Report {
     pub outputs: Vec<PathBuf>,
     /// Everything that was not as it should be.
     pub warnings: Vec<Warning>,
+    /// What the pilot chose for each set of AOVs: later frames keep it.
+    #[serde(skip)]
+    pub(super) choices: BTreeMap<Vec<Aov>, Choice>,
 }
 
 impl Report {
@@ -92,6 +114,7 @@ impl Report {
             error: ErrorReport::default(),
             outputs: Vec::new(),
             warnings: Vec::new(),
+            choices: BTreeMap::new(),
         }
     }
 

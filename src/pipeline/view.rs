@@ -118,7 +118,7 @@ fn with_extension(output: &Path) -> PathBuf {
 
 /// The camera called `wanted` (path or name), else `main_cam` as usdrecord has it, else the stage's first, else an
 /// automatic one.
-fn camera(scene: &Scene, wanted: Option<&str>) -> Result<Camera, Error> {
+pub(super) fn camera(scene: &Scene, wanted: Option<&str>) -> Result<Camera, Error> {
     let named = |name: &str| {
         scene
             .cameras

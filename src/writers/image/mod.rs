@@ -5,7 +5,7 @@ mod exr_header;
 pub mod png;
 
 pub use exr::{ExrInfo, ExrLayout, write_exr};
-pub use png::write_png;
+pub use png::{png_of_rgb, write_png};
 
 use std::fs::File;
 use std::io::{BufWriter, Write};

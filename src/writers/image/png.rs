@@ -37,6 +37,19 @@ pub fn write_png(path: &Path, image: &AovImage) -> Result<(), Error> {
     write_whole(path, &bytes)
 }
 
+/// 8-bit sRGB pixels, rows from the top, as a PNG in memory; empty if `rgb` is not `width · height · 3` bytes.
+pub fn png_of_rgb(width: u32, height: u32, rgb: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    if rgb.len() != width as usize * height as usize * 3 {
+        return bytes;
+    }
+    let encoder = PngEncoder::new(&mut bytes);
+    match encoder.write_image(rgb, width, height, ExtendedColorType::Rgb8) {
+        Ok(()) => bytes,
+        Err(_) => Vec::new(),
+    }
+}
+
 /// 8 bits a channel.
 fn pixels(image: &AovImage) -> Vec<u8> {
     match (image.aov, image.aov.value_type()) {

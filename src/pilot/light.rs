@@ -1,0 +1,129 @@
+//! How wrong direct light is at its own sample counts, which no engine changes, and how many samples a tolerance needs.
+
+use super::error::{mean_magnitude, measured_as, relative, rms_difference, values};
+use super::{Method, Pilot};
+use crate::diagnostics::{Cancelled, Diagnostics};
+use crate::gather::{GatherScene, RaysSettings};
+use crate::receivers::Receivers;
+use crate::results::{Aov, Results};
+
+/// The scene as the pilot looks at it.
+#[derive(Debug, Clone, Copy)]
+pub struct LightScenes<'a> {
+    /// With the lights of the run.
+    pub run: GatherScene<'a>,
+    /// With four times their samples; `None`: the light's own error is not looked at.
+    pub finer: Option<GatherScene<'a>>,
+}
+
+/// Most times the usual samples.
+const MOST_SCALE: u32 = 16;
+
+/// Share of the tolerance that light may use up; the engine has √(1 − its square), 87 %.
+const LIGHT_SHARE: f64 = 0.5;
+
+/// Error of direct light.
+#[derive(Debug, Clone)]
+pub(super) struct LightError {
+    /// Times the run's samples that it needs.
+    pub(super) scale: u32,
+    /// What is left of it then: relative RMSE of each AOV, in order.
+    pub(super) relative: Vec<f64>,
+    /// Mean magnitude of each AOV.
+    pub(super) means: Vec<f64>,
+}
+
+impl<'a> LightScenes<'a> {
+    /// Without the lights, where these are no business of the engine: it then has less to compute.
+    pub(super) fn engine(&self) -> GatherScene<'a> {
+        let uniform = self
+            .run
+            .lighting
+            .is_some_and(|light| light.has_environment() && light.uniform_environment().is_some());
+        GatherScene {
+            lighting: self.run.lighting.filter(|_| uniform),
+            ..self.run
+        }
+    }
+
+    /// True if a better look at the hemisphere can change `aov`.
+    pub(super) fn depends_on_engine(&self, aov: Aov) -> bool {
+        let open = matches!(aov, Aov::Occlusion | Aov::Visibility | Aov::BentNormal);
+        open || aov.needs_indirect()
+            || (aov.needs_environment() && self.engine().lighting.is_some())
+    }
+}
+
+/// True if `aov` holds light that is sampled on its own.
+fn is_lit(aov: Aov) -> bool {
+    aov.needs_direct() || aov.needs_environment()
+}
+
+/// Measure direct light at `receivers`.
+pub(super) fn measure(
+    pilot: &Pilot<'_, '_>,
+    engine: &dyn Method,
+    receivers: &Receivers,
+    diagnostics: &Diagnostics,
+) -> Result<LightError, Cancelled> {
+    let aovs = pilot.aovs;
+    let look = |scene: GatherScene<'_>| -> Result<Results, Cancelled> {
+        engine.gather(scene, receivers, aovs, diagnostics)
+    };
+    let run = look(pilot.scenes.run)?;
+    let columns: Vec<Vec<f64>> = aovs
+        .iter()
+        .map(|&aov| values(&run, measured_as(aov)).unwrap_or_default())
+        .collect();
+    let means: Vec<f64> = columns
+        .iter()
+        .map(|column| mean_magnitude(column))
+        .collect();
+    let mut errors = vec![0.0; aovs.len()];
+    let lit = aovs.iter().any(|&aov| is_lit(aov));
+    if let Some(finer) = pilot.scenes.finer.filter(|_| lit) {
+        let finer = look(finer)?;
+        for (i, &aov) in aovs.iter().enumerate() {
+            if let Some(better) = values(&finer, measured_as(aov)) {
+                let both = rms_difference(&columns[i], &better);
+                let own = both / (1.0 + RaysSettings::REFERENCE_ERROR_SHARE).sqrt();
+                errors[i] = relative(own, means[i]);
+            }
+        }
+    }
+    let worst = errors.iter().copied().fold(0.0, f64::max);
+    let scale = scale(worst / (LIGHT_SHARE * pilot.tolerance));
+    let left = f64::from(scale).powf(-super::choose::LAW);
+    errors.iter_mut().for_each(|error| *error *= left);
+    Ok(LightError {
+        scale,
+        relative: errors,
+        means,
+    })
+}
+
+/// Times the samples that bring an error `excess` times too large down to 1.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "clamped to 1…16"
+)]
+fn scale(excess: f64) -> u32 {
+    excess
+        .powf(1.0 / super::choose::LAW)
+        .ceil()
+        .clamp(1.0, f64::from(MOST_SCALE)) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_grow_with_the_error_to_the_power_of_four_thirds() {
+        assert_eq!(scale(0.0), 1);
+        assert_eq!(scale(1.0), 1);
+        assert_eq!(scale(2.0), 3);
+        assert_eq!(scale(1e9), MOST_SCALE);
+    }
+}

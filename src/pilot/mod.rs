@@ -1,0 +1,70 @@
+//! [`Receivers`] × tolerance → the cheapest [`Candidate`] that meets it on this very scene.
+//!
+//! A few receivers spread over the run are gathered at with few rays, then more, until the error's law tells how many
+//! the tolerance needs; then with four times as many, which is the reference: the chosen number and every other
+//! candidate that promises to be cheaper are judged by it, its own error taken out. Errors do not depend on the
+//! machine, costs do: two machines may choose different engines, never different errors beyond the tolerance.
+
+mod choose;
+pub mod error;
+mod light;
+
+pub use choose::{Outcome, Pilot, Trial, choose};
+pub use light::LightScenes;
+
+use crate::diagnostics::{Cancelled, Diagnostics};
+use crate::gather::{self, Engine, GatherScene};
+use crate::receivers::Receivers;
+use crate::results::{Aov, Results};
+use std::fmt;
+
+/// Something that computes AOVs: an [`Engine`] with its settings, or a method that looks at all receivers at once.
+pub trait Method: Sync + fmt::Debug {
+    /// The contract of [`gather::gather`].
+    ///
+    /// # Errors
+    /// When cancelled.
+    fn gather(
+        &self,
+        scene: GatherScene<'_>,
+        receivers: &Receivers,
+        aovs: &[Aov],
+        diagnostics: &Diagnostics,
+    ) -> Result<Results, Cancelled>;
+}
+
+impl<E: Engine> Method for E {
+    fn gather(
+        &self,
+        scene: GatherScene<'_>,
+        receivers: &Receivers,
+        aovs: &[Aov],
+        diagnostics: &Diagnostics,
+    ) -> Result<Results, Cancelled> {
+        gather::gather(scene, self, receivers, aovs, diagnostics)
+    }
+}
+
+/// Name and value of each knob.
+pub type Knobs = Vec<(&'static str, f64)>;
+
+/// An engine with settings, ready to be made.
+pub struct Candidate<'a> {
+    /// `rays`, `paper`, …
+    pub engine: &'static str,
+    /// Its settings.
+    pub knobs: Knobs,
+    /// Seconds that [`Self::make`] will probably take.
+    pub preparation: f64,
+    /// Makes it, with what it stands on.
+    pub make: Box<dyn Fn() -> Box<dyn Method + 'a> + 'a>,
+}
+
+impl fmt::Debug for Candidate<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Candidate")
+            .field("engine", &self.engine)
+            .field("knobs", &self.knobs)
+            .finish_non_exhaustive()
+    }
+}

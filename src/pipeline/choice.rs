@@ -1,0 +1,210 @@
+//! Engine, settings and light samples of a run: as asked for, or as a pilot finds them for a tolerance.
+
+use super::Error;
+use super::gather::Stand;
+use super::job::{EngineChoice, GatherJob};
+use super::report::{Report, timed};
+use super::world::World;
+use crate::diagnostics::Diagnostics;
+use crate::gather::{GatherScene, RaysSettings};
+use crate::lighting::{LightSamples, Lighting};
+use crate::pilot::{self, Candidate, Knobs, LightScenes, Method, Outcome, Pilot};
+use crate::results::Aov;
+
+/// What a run does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Choice {
+    pub(super) engine: Chosen,
+    /// Times the default light samples.
+    light_scale: u32,
+}
+
+/// The engine.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Chosen {
+    /// So many a receiver.
+    Rays(u32),
+    /// Largest solid angle and raster resolution.
+    Paper((f32, u32)),
+}
+
+impl Choice {
+    fn as_asked(job: &GatherJob) -> Self {
+        Self {
+            engine: match job.engine {
+                EngineChoice::Auto | EngineChoice::Rays => Chosen::Rays(job.rays),
+                EngineChoice::Paper => Chosen::Paper((job.max_solid_angle, job.raster_resolution)),
+            },
+            light_scale: 1,
+        }
+    }
+
+    /// What the pilot found.
+    pub(super) fn of(outcome: &Outcome) -> Self {
+        let rays = || Chosen::Rays(outcome.rays.unwrap_or(FEWEST_RAYS));
+        Self {
+            engine: outcome
+                .candidate
+                .map_or_else(rays, |i| Chosen::Paper(PAPER_KNOBS[i])),
+            light_scale: outcome.light_scale,
+        }
+    }
+
+    /// Lights with as many samples as the tolerance needs; `None`: the world's own do.
+    pub(super) fn lighting(self, world: &World<'_>, diagnostics: &Diagnostics) -> Option<Lighting> {
+        (self.light_scale > 1)
+            .then(|| Lighting::new(world.shader, samples(self.light_scale), diagnostics))
+    }
+}
+
+fn samples(scale: u32) -> LightSamples {
+    let usual = LightSamples::default();
+    LightSamples {
+        per_light: usual.per_light * scale,
+        emissive: usual.emissive * scale,
+        environment: usual.environment * scale,
+    }
+}
+
+/// Settings of the paper's engine that a pilot tries, cheap ones first: solid angle and resolution.
+pub(super) const PAPER_KNOBS: [(f32, u32); 3] = [(0.1, 8), (0.03, 12), (0.01, 24)];
+
+/// Seconds a surfel to build an octree, roughly.
+const OCTREE_SECONDS: f64 = 0.3e-6;
+
+/// The choice for the run at hand; a pilot measures where there is a tolerance, once for all frames: the same settings
+/// at every frame give results that differ only where the scene does.
+pub(super) fn choose(
+    stand: &Stand<'_>,
+    report: &mut Report,
+    diagnostics: &Diagnostics,
+) -> Result<Choice, Error> {
+    let job = stand.job;
+    report.error.is_of_pilot = false;
+    let Some(tolerance) = job.tolerance.filter(|_| job.engine != EngineChoice::Paper) else {
+        return Ok(Choice::as_asked(job));
+    };
+    if let Some(choice) = report.choices.get(stand.aovs) {
+        return Ok(*choice);
+    }
+    let mut seconds = 0.0;
+    let outcome = timed(&mut seconds, || look(stand, tolerance, diagnostics))?;
+    report.seconds.gather += seconds;
+    record(&outcome, report);
+    let choice = Choice::of(&outcome);
+    match choice.engine {
+        Chosen::Rays(rays) => report.set("rays", rays),
+        Chosen::Paper((max_solid_angle, resolution)) => {
+            report.set("max_solid_angle", f64::from(max_solid_angle));
+            report.set("raster_resolution", resolution);
+        }
+    }
+    report.set("light_samples_scale", choice.light_scale);
+    report.choices.insert(stand.aovs.to_vec(), choice);
+    Ok(choice)
+}
+
+/// Rays of a run whose AOVs do not depend on them.
+const FEWEST_RAYS: u32 = 16;
+
+/// Everything but rays that can do the job.
+pub(super) fn candidates<'s>(stand: &'s Stand<'_>) -> Vec<Candidate<'s>> {
+    // Without surfels there is nothing to rasterize, and dicing for it would cost more than rays do.
+    if stand.job.engine != EngineChoice::Auto || stand.surfel_count() == 0 {
+        return Vec::new();
+    }
+    PAPER_KNOBS
+        .iter()
+        .map(|&knobs| Candidate {
+            engine: "paper",
+            knobs: paper_knobs(knobs),
+            preparation: OCTREE_SECONDS * stand.surfel_count() as f64,
+            make: Box::new(move || Box::new(stand.paper(knobs))),
+        })
+        .collect()
+}
+
+/// As candidates and reports name them.
+pub(super) fn paper_knobs((max_solid_angle, resolution): (f32, u32)) -> Knobs {
+    vec![
+        ("max_solid_angle", round(max_solid_angle)),
+        ("raster_resolution", f64::from(resolution)),
+    ]
+}
+
+/// The shortest decimal number that is `x` in single precision.
+fn round(x: f32) -> f64 {
+    x.to_string().parse().unwrap_or_else(|_| f64::from(x))
+}
+
+/// Let a pilot look at `stand`'s receivers.
+pub(super) fn look(
+    stand: &Stand<'_>,
+    tolerance: f64,
+    diagnostics: &Diagnostics,
+) -> Result<Outcome, Error> {
+    let candidates = candidates(stand);
+    let world = stand.world();
+    let uniform = world.lighting.uniform_environment().is_some();
+    let samples_light = |aov: &Aov| aov.needs_direct() || (aov.needs_environment() && !uniform);
+    let finer = stand
+        .aovs
+        .iter()
+        .any(samples_light)
+        .then(|| Lighting::new(world.shader, samples(4), diagnostics));
+    let rays = |count: u32, turn: f32| {
+        let settings = RaysSettings {
+            turn,
+            ..stand.rays_settings(count)
+        };
+        Box::new(stand.rays_with(settings)) as Box<dyn Method>
+    };
+    let pilot = Pilot {
+        scenes: LightScenes {
+            run: stand.scene(),
+            finer: finer.as_ref().map(|finer| GatherScene {
+                lighting: Some(finer),
+                ..stand.scene()
+            }),
+        },
+        receivers: stand.receivers,
+        aovs: stand.aovs,
+        tolerance,
+        rays: &rays,
+        candidates: &candidates,
+    };
+    Ok(pilot::choose(&pilot, diagnostics)?)
+}
+
+fn record(outcome: &Outcome, report: &mut Report) {
+    let method = format!(
+        "pilot: {} receivers against rays to convergence, light against four times its samples",
+        outcome.receivers
+    );
+    report.error.add(&outcome.errors, method);
+    report.error.is_of_pilot = true;
+    report.set(
+        "pilot",
+        serde_json::json!({
+            "receivers": outcome.receivers,
+            "seconds": outcome.seconds,
+            "trials": outcome.trials,
+        }),
+    );
+}
+
+/// Warn when the estimate is above the tolerance.
+pub(super) fn judge(report: &Report, diagnostics: &Diagnostics) {
+    let (Some(tolerance), Some(estimate)) = (report.error.tolerance, report.error.estimate) else {
+        return;
+    };
+    if estimate > tolerance {
+        let message = format!(
+            "the error is about {:.2} %, more than --tolerance {tolerance} ({:.2} %) allows, with the most exact \
+             settings there are",
+            100.0 * estimate,
+            100.0 * tolerance
+        );
+        diagnostics.warn("tolerance-missed", "", message);
+    }
+}
