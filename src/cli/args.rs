@@ -192,6 +192,9 @@ pub(super) struct RenderArgs {
     /// Write a tone-mapped PNG of the first AOV beside the EXR.
     #[arg(long)]
     pub(super) preview: bool,
+    /// Leave the shapes of lights and the sky out of `color` and `emission`.
+    #[arg(long)]
+    pub(super) hide_lights: bool,
 }
 
 #[derive(Debug, Args)]

@@ -6,7 +6,8 @@ use super::args::{
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
-    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob, VerifyJob,
+    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,
+    VerifyJob,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
@@ -198,6 +199,7 @@ fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob
         pixel_samples: args.pixel_samples,
         multipart: args.exr == ExrLayout::Multipart,
         preview: args.preview,
+        hide_lights: args.hide_lights,
     };
     let pattern = job
         .output

@@ -120,6 +120,18 @@ impl AreaLight {
     }
 
     /// Without extent.
+    /// Distance to this light along the unit `direction` and radiance from there; `None` where it is not met.
+    pub(super) fn seen(&self, origin: Vec3, direction: Vec3) -> Option<(f32, Vec3)> {
+        let meeting = self.shape.meet(origin, direction)?;
+        let sample = LightSample {
+            to_light: direction,
+            position: Some(origin + direction * meeting.distance),
+            local: meeting.local,
+            weight: 0.0,
+        };
+        Some((meeting.distance, self.radiance * self.factor(&sample, 0.0)))
+    }
+
     fn is_sharp(&self) -> bool {
         matches!(self.shape, Shape::Point { .. } | Shape::Parallel { .. })
     }

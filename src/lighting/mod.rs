@@ -214,6 +214,16 @@ impl Lighting {
         self.environment.uniform
     }
 
+    /// Radiance of the nearest light whose shape lies along the unit `direction` closer than `max_distance`. Lights
+    /// are no geometry: this is how a camera sees them.
+    pub fn seen(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Vec3> {
+        (self.lights.iter())
+            .filter_map(|light| light.seen(origin, direction))
+            .filter(|(distance, _)| *distance < max_distance)
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, radiance)| radiance)
+    }
+
     /// True if nothing shines at all: no lights, no environment, no emissive surface.
     pub fn is_dark(&self) -> bool {
         self.lights.is_empty() && !self.has_environment() && !self.has_emitters()

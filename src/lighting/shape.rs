@@ -1,6 +1,8 @@
 //! Light shapes in world space: unshadowed irradiance in closed form where there is one, and samples that carry their
 //! share of it.
 
+mod meet;
+
 use super::ShadePoint;
 use super::form_factor::{cap_irradiance, outline_irradiance};
 use super::pattern;

@@ -146,6 +146,8 @@ pub struct RenderJob {
     pub multipart: bool,
     /// PNG beside the EXR.
     pub preview: bool,
+    /// Leave lights and sky out of the image.
+    pub hide_lights: bool,
 }
 
 /// Where to write.

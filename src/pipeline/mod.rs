@@ -15,7 +15,8 @@ mod world;
 
 pub use info::{GeometrySummary, LightSummary, MaterialSummary, RenderSummary, StageSummary, info};
 pub use job::{
-    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob, VerifyJob,
+    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,
+    VerifyJob,
 };
 pub use report::{Counts, ErrorReport, Report, Seconds};
 pub use verify::verify;

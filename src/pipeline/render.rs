@@ -7,11 +7,12 @@ use super::view::{View, views};
 use super::world::{Needs, World, with_world};
 use super::{Error, outputs};
 use crate::diagnostics::Diagnostics;
-use crate::receivers::camera;
 use crate::receivers::lens::Lens;
+use crate::receivers::{Receivers, camera};
 use crate::results::{Aov, AovImage, resolve};
 use crate::stage;
 use crate::writers::image::{ExrInfo, ExrLayout, write_exr, write_png};
+use glam::Vec4;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -86,15 +87,7 @@ fn render(
     );
     report.set("image", vec![view.frame.width, view.frame.height]);
     report.set("pixel_samples", job.pixel_samples);
-    let receivers = timed(&mut report.seconds.gather, || {
-        camera::place(
-            world.scene(),
-            &world.tracer,
-            &view.camera,
-            view.frame,
-            job.pixel_samples,
-        )
-    });
+    let receivers = timed(&mut report.seconds.gather, || place(world, view, job));
     let results = gather(
         world,
         &receivers,
@@ -104,7 +97,8 @@ fn render(
     )?;
     timed(&mut report.seconds.write, || {
         let _phase = diagnostics.phase("write", "file", 0);
-        let images = resolve(&results, &receivers.target);
+        let mut images = resolve(&results, &receivers.target);
+        add_lights(&mut images, world, view, job);
         write(&images, &info(world, view, job), job, files)
     })
 }
@@ -156,5 +150,66 @@ fn info(world: &World<'_>, view: &View, job: &RenderJob) -> ExrInfo {
         frames_per_second: stage.time.map(|_| stage.time_codes_per_second),
         texts,
         ..ExrInfo::default()
+    }
+}
+
+/// Receivers on the surfaces that the camera sees; lights in front hide them.
+fn place(world: &World<'_>, view: &View, job: &RenderJob) -> Receivers {
+    let cast = |origin, direction, length| {
+        let hit = world.tracer.closest(origin, direction, length)?;
+        let hidden = !job.hide_lights
+            && world
+                .lighting
+                .seen(origin, direction, hit.distance)
+                .is_some();
+        (!hidden).then_some(hit)
+    };
+    camera::place_with(
+        world.scene(),
+        &cast,
+        &view.camera,
+        view.frame,
+        job.pixel_samples,
+    )
+}
+
+/// Add what shines into the camera by itself: the shapes of lights to `color` (covering) and `emission`, the sky to
+/// `color` (not covering).
+fn add_lights(images: &mut [AovImage], world: &World<'_>, view: &View, job: &RenderJob) {
+    let shown = |aov| matches!(aov, Aov::Color | Aov::Emission);
+    if job.hide_lights || !images.iter().any(|image| shown(image.aov)) {
+        return;
+    }
+    let lighting = &world.lighting;
+    let glow = |sky: bool| {
+        move |origin, direction, length| {
+            let hit = world.tracer.closest(origin, direction, length);
+            match lighting.seen(origin, direction, hit.map_or(length, |hit| hit.distance)) {
+                Some(radiance) => radiance.extend(1.0),
+                None if hit.is_none() && sky => {
+                    lighting.environment_radiance(direction).extend(0.0)
+                }
+                None => Vec4::ZERO,
+            }
+        }
+    };
+    for image in images.iter_mut().filter(|image| shown(image.aov)) {
+        let glow = glow(image.aov == Aov::Color);
+        let backdrop = camera::backdrop(
+            world.scene(),
+            &glow,
+            &view.camera,
+            view.frame,
+            job.pixel_samples,
+        );
+        for (pixel, light) in image
+            .data
+            .chunks_exact_mut(image.aov.components())
+            .zip(backdrop)
+        {
+            for (value, more) in pixel.iter_mut().zip(light.to_array()) {
+                *value += more;
+            }
+        }
     }
 }

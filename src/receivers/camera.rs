@@ -12,7 +12,7 @@ use crate::scene::camera::Projection;
 use crate::scene::{Camera, MaterialId, Scene};
 use crate::shading::SurfacePoint;
 use crate::trace::{Hit, Tracer};
-use glam::{DAffine3, DMat3, DVec3, Vec3};
+use glam::{DAffine3, DMat3, DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
 /// Cosine of the angle (15°) beyond which normals in one pixel are different surfaces.
@@ -40,25 +40,17 @@ pub fn place(
 }
 
 /// First hit along a ray from an origin (relative to the scene's) in a unit direction within a length.
-type Cast<'a> = &'a (dyn Fn(Vec3, Vec3, f32) -> Option<Hit> + Sync);
+pub type Cast<'a> = &'a (dyn Fn(Vec3, Vec3, f32) -> Option<Hit> + Sync);
 
-fn place_with(
+/// [`place`] with rays of one's own: `cast` leaves out what other things (lights) hide from the camera.
+pub fn place_with(
     scene: &Scene,
     cast: Cast<'_>,
     camera: &Camera,
     frame: Frame,
     samples_per_axis: u32,
 ) -> Receivers {
-    let view = View {
-        scene,
-        cast,
-        lens: Lens::new(camera, frame),
-        world_from_camera: DAffine3 {
-            matrix3: camera.world_from_camera.matrix3,
-            translation: camera.world_from_camera.translation - scene.origin,
-        },
-        samples: samples_per_axis.max(1),
-    };
+    let view = View::new(scene, cast, camera, frame, samples_per_axis);
     let rows: Vec<Row> = (0..frame.height)
         .into_par_iter()
         .map(|y| view.row(y, frame.width))
@@ -101,6 +93,38 @@ fn place_with(
     receivers
 }
 
+/// Color and coverage along a ray from an origin in a unit direction within a length.
+pub type Glow<'a> = &'a (dyn Fn(Vec3, Vec3, f32) -> Vec4 + Sync);
+
+/// What `camera` sees besides surfaces, a pixel each, rows from the top: the mean of `glow` over the samples of
+/// [`place`].
+pub fn backdrop(
+    scene: &Scene,
+    glow: Glow<'_>,
+    camera: &Camera,
+    frame: Frame,
+    samples_per_axis: u32,
+) -> Vec<Vec4> {
+    let nothing = |_, _, _| None;
+    let view = View::new(scene, &nothing, camera, frame, samples_per_axis);
+    let count = view.samples * view.samples;
+    let pixel = |x: u32, y: u32| {
+        let sum: Vec4 = (0..count)
+            .map(|sample| {
+                let [dx, dy] = place_of_sample(sample, view.samples);
+                let ray = view.ray(f64::from(x) + dx, f64::from(y) + dy);
+                glow(ray.origin, ray.direction, ray.length)
+            })
+            .sum();
+        sum / count as f32
+    };
+    (0..frame.height)
+        .into_par_iter()
+        .flat_map_iter(|y| (0..frame.width).map(move |x| (x, y)))
+        .map(|(x, y)| pixel(x, y))
+        .collect()
+}
+
 /// Pixel, share of its samples, what is seen there.
 type Row = Vec<(u32, f32, Seen)>;
 
@@ -116,6 +140,20 @@ struct Seen {
     front: bool,
 }
 
+/// A camera ray relative to the scene's origin.
+struct WorldRay {
+    /// On the near clipping plane.
+    origin: Vec3,
+    /// Unit.
+    direction: Vec3,
+    /// To the far clipping plane.
+    length: f32,
+    /// World units in one unit of camera space.
+    scale: f64,
+    /// Cosine to the viewing axis.
+    axial: f64,
+}
+
 /// A camera in a scene.
 struct View<'a> {
     scene: &'a Scene,
@@ -126,7 +164,26 @@ struct View<'a> {
     samples: u32,
 }
 
-impl View<'_> {
+impl<'a> View<'a> {
+    fn new(
+        scene: &'a Scene,
+        cast: Cast<'a>,
+        camera: &Camera,
+        frame: Frame,
+        samples_per_axis: u32,
+    ) -> Self {
+        View {
+            scene,
+            cast,
+            lens: Lens::new(camera, frame),
+            world_from_camera: DAffine3 {
+                matrix3: camera.world_from_camera.matrix3,
+                translation: camera.world_from_camera.translation - scene.origin,
+            },
+            samples: samples_per_axis.max(1),
+        }
+    }
+
     fn row(&self, y: u32, width: u32) -> Row {
         let mut row = Vec::with_capacity(width as usize);
         let mut clusters = Vec::new();
@@ -150,30 +207,35 @@ impl View<'_> {
         row
     }
 
+    /// The ray through image point `(x, y)`, in pixels.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "places and distances, rounded to f32"
+    )]
+    fn ray(&self, x: f64, y: f64) -> WorldRay {
+        let ray = self.lens.ray(x, y);
+        let direction = self.world_from_camera.transform_vector3(ray.direction);
+        // Scaled cameras measure distances in world units too: USD's cameras should not be scaled, some are.
+        let scale = direction.length();
+        WorldRay {
+            origin: self
+                .world_from_camera
+                .transform_point3(ray.origin)
+                .as_vec3(),
+            direction: (direction / scale).as_vec3(),
+            length: (ray.length * scale).min(f64::from(f32::MAX)) as f32,
+            scale,
+            axial: -ray.direction.z,
+        }
+    }
+
     /// What is seen through image point `(x, y)`, in pixels.
     #[expect(clippy::cast_possible_truncation, reason = "distances, rounded to f32")]
     fn look(&self, x: f64, y: f64) -> Option<Seen> {
-        let ray = self.lens.ray(x, y);
-        let origin = self
-            .world_from_camera
-            .transform_point3(ray.origin)
-            .as_vec3();
-        let direction = self
-            .world_from_camera
-            .transform_vector3(ray.direction)
-            .normalize()
-            .as_vec3();
-        // Scaled cameras measure distances in world units too: USD's cameras should not be scaled, some are.
-        let scale = self
-            .world_from_camera
-            .transform_vector3(ray.direction)
-            .length();
-        let hit = (self.cast)(
-            origin,
-            direction,
-            (ray.length * scale).min(f64::from(f32::MAX)) as f32,
-        )?;
-        let along = f64::from(hit.distance) / scale * -ray.direction.z;
+        let ray = self.ray(x, y);
+        let (direction, scale) = (ray.direction, ray.scale);
+        let hit = (self.cast)(ray.origin, direction, ray.length)?;
+        let along = f64::from(hit.distance) / scale * ray.axial;
         let depth = self.lens.near() + along;
         let world = WorldPrim::new(self.scene, &self.scene.prims[hit.prim.index()]);
         let t = hit.triangle as usize;
@@ -181,7 +243,7 @@ impl View<'_> {
         let geometric = world.normal(world.mesh.plane_normal(t)) * side;
         let shading = world.normal(world.mesh.shading_normal(t, hit.u, hit.v)) * side;
         // A pixel covers its area at that depth × cosine to the axis / cosine to the surface.
-        let slant = geometric.dot(-direction).abs() / -ray.direction.z as f32;
+        let slant = geometric.dot(-direction).abs() / ray.axial as f32;
         let stretch = slant.max(MOST_STRETCH.powi(-2)).sqrt().recip();
         Some(Seen {
             position: world.position(t, hit.u, hit.v),
