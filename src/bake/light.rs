@@ -3,8 +3,8 @@
 //! Light is evaluated at the center of every cell. Where a cell and its neighbors differ by more than
 //! [`STEEPEST`], which is what a shadow's edge or the falloff of a near light looks like at the cells' size, UsdLux
 //! lights (the sharp sources) are evaluated again at the middles of its four quarters, and their mean counts.
-//! Neighbors are the adjoining cells of the same triangle, and for triangles of one cell the cells of all triangles
-//! that share a point with it. What lies between cells that agree, such as the shadow of a twig, is not looked for.
+//! Neighbors are the adjoining cells of the same triangle, and for whole triangles and clusters the cells of all
+//! triangles that share a point with them. Clusters are evaluated at the middles of some of their triangles. What lies between cells that agree, such as the shadow of a twig, is not looked for.
 //! Environment and emissive surfaces are wide and evaluated at the center only.
 
 use super::world::WorldMesh;
@@ -12,7 +12,7 @@ use crate::lighting::ShadePoint;
 use crate::math::luminance;
 use crate::scene::PrimId;
 use crate::shading::{Surface, SurfacePoint};
-use crate::surfels::PrimDice;
+use crate::surfels::DiceTable;
 use crate::surfels::triangle_dice::{Part, Row};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -40,6 +40,11 @@ pub(super) struct Side<'a> {
 }
 
 impl Side<'_> {
+    /// The middle of triangle `t`.
+    pub(super) fn middle(&self, t: u32) -> ShadePoint {
+        self.shade_point(t, Vec3::splat(1.0 / 3.0), self.world.plane_normal(t))
+    }
+
     /// The point with `weights` of the corners of triangle `t`. The cosine to the light is taken with the shading
     /// normal, as a renderer does; shadows and the side that is lit go by the plane.
     pub(super) fn shade_point(&self, t: u32, weights: Vec3, plane_normal: Vec3) -> ShadePoint {
@@ -78,12 +83,12 @@ pub(super) fn quartered(
 pub(super) struct Steepness<'a> {
     /// By cell.
     center: &'a [Vec3],
-    /// Lowest and highest around each position of the mesh; empty if no triangle is a single cell.
+    /// Lowest and highest around each position of the mesh; empty if all triangles are cut.
     around: Vec<[f32; 2]>,
 }
 
 impl<'a> Steepness<'a> {
-    pub(super) fn new(world: &WorldMesh<'_>, dice: &PrimDice, center: &'a [Vec3]) -> Self {
+    pub(super) fn new(world: &WorldMesh<'_>, dice: &DiceTable, center: &'a [Vec3]) -> Self {
         let mut around = Vec::new();
         if (0..dice.triangle_count())
             .into_par_iter()
@@ -105,15 +110,15 @@ impl<'a> Steepness<'a> {
         Self { center, around }
     }
 
-    /// True if the cells around single-cell triangle `t` differ.
-    pub(super) fn at_triangle(&self, world: &WorldMesh<'_>, t: u32) -> bool {
-        let ranges = world.mesh.triangles[t as usize].map(|i| self.around[i as usize]);
-        let low = ranges
+    /// True if the cells around `triangles`, which are whole, differ.
+    pub(super) fn at_triangles(&self, world: &WorldMesh<'_>, triangles: &[u32]) -> bool {
+        let points = triangles
             .iter()
-            .fold(f32::INFINITY, |low, range| low.min(range[0]));
-        let high = ranges
-            .iter()
-            .fold(f32::NEG_INFINITY, |high, range| high.max(range[1]));
+            .flat_map(|t| world.mesh.triangles[*t as usize]);
+        let [low, high] = points.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], i| {
+            let range = self.around[i as usize];
+            [low.min(range[0]), high.max(range[1])]
+        });
         high - low > STEEPEST * high
     }
 

@@ -1,23 +1,27 @@
 //! Scene → [`SurfelCloud`]: dice every surface, shade every micropolygon, light it. PBGI §4.
 //!
-//! One surfel a cell of a triangle and side that can be seen (`sides`): exact area and centroid, the plane's normal,
-//! a radius that reaches the cell's farthest corner. Albedo and emission are averaged over the cell by the shader;
+//! One surfel a cell and side that can be seen (`sides`). Large triangles are cut into cells: exact area and centroid,
+//! the plane's normal, a radius that reaches the cell's farthest corner. Small triangles are clustered into cells
+//! (`cluster`), the same ones for all instances of a mesh that are of a size (`shapes`). Albedo and emission are averaged over the cell by the shader;
 //! emission is of the front only, while every surface reflects on both sides. Light is averaged as `light` says.
 
 mod blocks;
+mod cluster;
 mod light;
+mod shapes;
 mod sides;
 mod spacing;
 mod world;
 
 use crate::diagnostics::{Cancelled, Diagnostics};
-use crate::lighting::Lighting;
-use crate::scene::{Prim, Scene};
-use crate::shading::{Shader, SurfacePoint};
+use crate::lighting::{Lighting, ShadePoint};
+use crate::scene::{FaceMaterials, Scene};
+use crate::shading::{Shader, Surface, SurfacePoint};
 use crate::surfels::triangle_dice::{Part, Row};
-use crate::surfels::{DiceMap, PrimDice, Sides, SurfelCloud};
+use crate::surfels::{DiceMap, SurfelCloud};
 use crate::trace::Tracer;
 use blocks::{Block, BlockColumns, front};
+use cluster::{Cluster, mean_light};
 use glam::Vec3;
 use light::{Look, Side, Steepness, quartered};
 use rayon::prelude::*;
@@ -27,10 +31,11 @@ use world::WorldMesh;
 /// How finely to dice.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BakeSettings {
-    /// Edge length of a micropolygon, stage units; `None` = from `surfels`.
+    /// Edge length of a micropolygon, stage units; `None` = from `surfels`. Triangles smaller than that are clustered.
     pub spacing: Option<f32>,
-    /// Number of surfels aimed at when no spacing is given. Every triangle has at least one on each side that can be
-    /// seen; where that alone exceeds the number, large triangles are diced up to twice as coarsely as they would be.
+    /// Number of surfels aimed at when no spacing is given. Every prim has some for each direction its surface faces
+    /// (up to 26) on each side that can be seen; where that alone exceeds the number, the rest is diced up to 4 times
+    /// as coarsely as it would be.
     pub surfels: usize,
 }
 
@@ -80,9 +85,8 @@ fn bake_with(
     diagnostics: &Diagnostics,
 ) -> Result<Baked, Cancelled> {
     let sides = sides::of_prims(scene);
-    let spacing = spacing::solve(scene, &sides, settings, diagnostics);
+    let (dice, spacing) = spacing::dice(scene, &sides, settings, diagnostics)?;
     diagnostics.check()?;
-    let dice = dice(scene, &sides, spacing);
     let mut cloud = empty_cloud(scene, dice.surfel_count(), spacing);
     let mut lights = vec![Vec3::ZERO; cloud.len()];
     let blocks = Block::of_all(&dice);
@@ -108,19 +112,6 @@ fn bake_with(
     baking.add_lights(&mut cloud)?;
     drop(phase);
     Ok(Baked { cloud, dice })
-}
-
-fn dice(scene: &Scene, sides: &[Sides], spacing: f32) -> DiceMap {
-    let of_prim = |(prim, sides): (&Prim, &Sides)| {
-        let world = WorldMesh::new(scene, prim);
-        PrimDice::new(
-            world.triangle_count(),
-            |t| world.corners(t),
-            spacing,
-            *sides,
-        )
-    };
-    DiceMap::new(scene.prims.par_iter().zip(sides).map(of_prim).collect())
 }
 
 fn empty_cloud(scene: &Scene, count: usize, spacing: f32) -> SurfelCloud {
@@ -152,26 +143,36 @@ fn fill(
         prim: block.prim,
         back: block.back,
     };
+    let table = dice.prims()[block.prim.index()].table();
     let mut next = 0;
-    block.for_each_row(&dice.prims()[block.prim.index()], |t, _, part, row| {
-        let plane_normal = world.plane_normal(t);
-        let area = world.area(t);
+    let mut put = |cell: &Shaded| {
+        columns.put(look, &side, cell, next);
+        next += 1;
+    };
+    block.for_each_row(table, |t, _, part, row| {
+        let triangle = Triangle {
+            t,
+            plane_normal: world.plane_normal(t),
+            area: world.area(t),
+        };
         for column in 0..row.count {
-            let triangle = Triangle {
-                t,
-                plane_normal,
-                area,
-            };
-            fill_cell(
-                look,
-                &side,
-                &triangle,
-                (part, row, column),
-                (&mut columns, next),
-            );
-            next += 1;
+            put(&shade_cell(look, &side, &triangle, (part, row, column)));
         }
     });
+    let materials = &scene.prims[block.prim.index()].materials;
+    for cell in block.clusters() {
+        put(&shade_cluster(look, &side, table.members(cell), materials));
+    }
+}
+
+/// A cell before it is lit.
+struct Shaded {
+    /// Where it stands and is lit.
+    point: ShadePoint,
+    normal: Vec3,
+    radius: f32,
+    area: f32,
+    surface: Surface,
 }
 
 /// What the cells of a triangle share.
@@ -182,13 +183,12 @@ struct Triangle {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "an area, rounded to f32")]
-fn fill_cell(
+fn shade_cell(
     look: &Look<'_>,
     side: &Side<'_>,
     triangle: &Triangle,
     (part, row, column): (&Part, Row, u32),
-    (columns, i): (&mut BlockColumns<'_>, usize),
-) {
+) -> Shaded {
     let cell = part.cell(row, column);
     let area = (triangle.area * f64::from(cell.area)) as f32;
     let point = side.shade_point(triangle.t, cell.center, triangle.plane_normal);
@@ -196,33 +196,63 @@ fn fill_cell(
     let reach = cell
         .corners
         .map(|w| (a * w.x + b * w.y + c * w.z).distance_squared(point.position));
-    let surface = (look.surface)(&SurfacePoint {
-        prim: side.prim,
-        triangle: triangle.t,
-        u: cell.center.y,
-        v: cell.center.z,
-        footprint: area.sqrt(),
-    });
-    columns.position[i] = point.position;
-    columns.normal[i] = point.geometric_normal;
-    columns.radius[i] = reach
-        .into_iter()
-        .fold(0.0, f32::max)
-        .sqrt()
-        .max(f32::MIN_POSITIVE);
-    columns.area[i] = area;
-    columns.albedo[i] = surface.albedo;
-    columns.emission[i] = if side.back {
-        Vec3::ZERO
-    } else {
-        PI * surface.emission
-    };
-    columns.prim[i] = side.prim.0;
-    columns.radiosity[i] = columns.emission[i];
-    // Black surfaces reflect nothing, whatever falls on them.
-    if surface.albedo != Vec3::ZERO {
-        columns.radiosity[i] += surface.albedo * (look.wide)(&point);
-        columns.lights[i] = (look.lights)(&point);
+    Shaded {
+        point,
+        normal: point.geometric_normal,
+        radius: reach.into_iter().fold(0.0, f32::max).sqrt(),
+        area,
+        surface: (look.surface)(&SurfacePoint {
+            prim: side.prim,
+            triangle: triangle.t,
+            u: cell.center.y,
+            v: cell.center.z,
+            footprint: area.sqrt(),
+        }),
+    }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "an area, rounded to f32")]
+fn shade_cluster(
+    look: &Look<'_>,
+    side: &Side<'_>,
+    members: &[u32],
+    materials: &FaceMaterials,
+) -> Shaded {
+    let cluster = Cluster::new(side.world, members);
+    let (point, surface) = cluster.shade(look, side, materials);
+    Shaded {
+        point,
+        normal: if side.back {
+            -cluster.normal
+        } else {
+            cluster.normal
+        },
+        radius: cluster.reach(point.position),
+        area: cluster.area as f32,
+        surface,
+    }
+}
+
+impl BlockColumns<'_> {
+    /// Light `cell` and write it to row `i`.
+    fn put(&mut self, look: &Look<'_>, side: &Side<'_>, cell: &Shaded, i: usize) {
+        self.position[i] = cell.point.position;
+        self.normal[i] = cell.normal;
+        self.radius[i] = cell.radius.max(f32::MIN_POSITIVE);
+        self.area[i] = cell.area;
+        self.albedo[i] = cell.surface.albedo;
+        self.emission[i] = if side.back {
+            Vec3::ZERO
+        } else {
+            PI * cell.surface.emission
+        };
+        self.prim[i] = side.prim.0;
+        self.radiosity[i] = self.emission[i];
+        // Black surfaces reflect nothing, whatever falls on them.
+        if cell.surface.albedo != Vec3::ZERO {
+            self.radiosity[i] += cell.surface.albedo * (look.wide)(&cell.point);
+            self.lights[i] = (look.lights)(&cell.point);
+        }
     }
 }
 
@@ -264,7 +294,7 @@ impl Baking<'_> {
     ) -> Result<(), Cancelled> {
         let (prim, back) = (run[0].prim, run[0].back);
         let dice = &self.dice.prims()[prim.index()];
-        let surfels = dice.surfels(back);
+        let (table, surfels) = (dice.table(), dice.surfels(back));
         let surfels = surfels.start as usize..surfels.end as usize;
         let (center, albedo) = (&self.lights[surfels.clone()], &albedo[surfels]);
         if center.iter().all(|light| *light == Vec3::ZERO) {
@@ -276,7 +306,7 @@ impl Baking<'_> {
             prim,
             back,
         };
-        let steepness = Steepness::new(&world, dice, center);
+        let steepness = Steepness::new(&world, table, center);
         let split: Vec<_> = run
             .iter()
             .map(|block| (block, front(&mut rest, block.cell_count as usize)))
@@ -284,12 +314,12 @@ impl Baking<'_> {
         split.into_par_iter().try_for_each(|(block, radiosity)| {
             self.diagnostics.check()?;
             let mut next = 0;
-            block.for_each_row(dice, |t, first, part, row| {
+            block.for_each_row(table, |t, first, part, row| {
                 for column in 0..row.count {
                     let cell = (first + row.first + column) as usize;
                     let is_steep = albedo[cell] != Vec3::ZERO
-                        && if dice.is_whole(t) {
-                            steepness.at_triangle(&world, t)
+                        && if table.is_whole(t) {
+                            steepness.at_triangles(&world, &[t])
                         } else {
                             steepness.at_cell(first, part, row, column)
                         };
@@ -302,6 +332,17 @@ impl Baking<'_> {
                     next += 1;
                 }
             });
+            for (radiosity, cell) in radiosity.iter_mut().zip(block.clusters()) {
+                let (members, cell) = (table.members(cell), cell as usize);
+                let is_steep =
+                    albedo[cell] != Vec3::ZERO && steepness.at_triangles(&world, members);
+                let irradiance = if is_steep {
+                    mean_light(self.look, &side, members)
+                } else {
+                    center[cell]
+                };
+                *radiosity += albedo[cell] * irradiance;
+            }
             Ok(())
         })
     }

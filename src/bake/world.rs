@@ -1,7 +1,7 @@
 //! A prim's mesh in world space.
 
 use crate::scene::{Mesh, Prim, PrimId, Scene};
-use glam::{Affine3A, Mat3, Vec3, Vec3A};
+use glam::{Affine3A, DVec3, Mat3, Vec3, Vec3A};
 
 /// The triangles of a prim, relative to the scene's origin.
 #[derive(Debug, Clone, Copy)]
@@ -38,6 +38,13 @@ impl<'a> WorldMesh<'a> {
         u32::try_from(self.mesh.triangles.len()).expect("triangles are numbered with 32 bits")
     }
 
+    /// Position of point `point` of the mesh.
+    pub(super) fn point(&self, point: u32) -> Vec3 {
+        self.world_from_object
+            .transform_point3a(Vec3A::from(self.mesh.positions[point as usize]))
+            .into()
+    }
+
     pub(super) fn corners(&self, t: u32) -> [Vec3; 3] {
         let place = |p: Vec3| Vec3::from(self.world_from_object.transform_point3a(Vec3A::from(p)));
         self.mesh.corners(t as usize).map(place)
@@ -49,10 +56,10 @@ impl<'a> WorldMesh<'a> {
         0.5 * (b - a).cross(c - a).length()
     }
 
-    /// Unit plane normal of the front side; zero without area.
+    /// Unit plane normal of the front side; any where rounding leaves no area.
     pub(super) fn plane_normal(&self, t: u32) -> Vec3 {
         let [a, b, c] = self.corners(t).map(|p| p.as_dvec3());
-        let normal = (b - a).cross(c - a).normalize_or_zero().as_vec3();
+        let normal = (b - a).cross(c - a).normalize_or(DVec3::Y).as_vec3();
         if self.is_mirrored() { -normal } else { normal }
     }
 
