@@ -4,10 +4,9 @@
 //! nearest to the middle of all: a point on the surface. What is averaged over it is taken at some of its triangles,
 //! each for the run of triangles around it.
 
-use super::light::{Look, Side};
-use super::world::WorldMesh;
+use super::light::{Look, Side, plane_normal};
 use crate::lighting::ShadePoint;
-use crate::scene::FaceMaterials;
+use crate::scene::{FaceMaterials, PlacedMesh};
 use crate::shading::{Surface, SurfacePoint};
 use glam::{DVec3, Vec3};
 
@@ -22,7 +21,7 @@ const MIDDLE: Vec3 = Vec3::splat(1.0 / 3.0);
 
 /// Shape of a cluster, world space, front side.
 pub(super) struct Cluster<'a> {
-    world: &'a WorldMesh<'a>,
+    world: &'a PlacedMesh<'a>,
     members: &'a [u32],
     /// The triangle at whose middle the surfel stands.
     pub(super) central: u32,
@@ -32,12 +31,13 @@ pub(super) struct Cluster<'a> {
 }
 
 impl<'a> Cluster<'a> {
-    pub(super) fn new(world: &'a WorldMesh<'a>, members: &'a [u32]) -> Self {
+    pub(super) fn new(world: &'a PlacedMesh<'a>, members: &'a [u32]) -> Self {
         let (mut area, mut normal, mut moment) = (0.0, DVec3::ZERO, DVec3::ZERO);
         for &t in members {
-            let size = world.area(t);
+            let cross = world.front_cross(t);
+            let size = 0.5 * cross.length();
             area += size;
-            normal += size * world.plane_normal(t).as_dvec3();
+            normal += cross;
             moment += size * middle(world, t).as_dvec3();
         }
         let mean = (moment / area.max(f64::MIN_POSITIVE)).as_vec3();
@@ -46,9 +46,9 @@ impl<'a> Cluster<'a> {
             .iter()
             .min_by(|a, b| distance(**a).total_cmp(&distance(**b)));
         let central = *nearest.expect("a cluster has triangles");
-        let normal = normal.as_vec3().try_normalize();
+        let normal = normal.try_normalize().map(|normal| normal.as_vec3());
         Self {
-            normal: normal.unwrap_or_else(|| world.plane_normal(central)),
+            normal: normal.unwrap_or_else(|| plane_normal(world, central)),
             world,
             members,
             central,
@@ -111,7 +111,7 @@ pub(super) fn mean_light(look: &Look<'_>, side: &Side<'_>, members: &[u32]) -> V
         .sum()
 }
 
-fn middle(world: &WorldMesh<'_>, t: u32) -> Vec3 {
+fn middle(world: &PlacedMesh<'_>, t: u32) -> Vec3 {
     let [a, b, c] = world.corners(t);
     (a + b + c) / 3.0
 }
@@ -123,7 +123,7 @@ fn middle(world: &WorldMesh<'_>, t: u32) -> Vec3 {
     reason = "a share and a length, rounded to f32"
 )]
 fn samples<'a>(
-    world: &'a WorldMesh<'a>,
+    world: &'a PlacedMesh<'a>,
     members: &'a [u32],
     most: usize,
 ) -> impl Iterator<Item = (u32, f32, f32)> + 'a {

@@ -7,10 +7,9 @@
 //! triangles that share a point with them. Clusters are evaluated at the middles of some of their triangles. What lies between cells that agree, such as the shadow of a twig, is not looked for.
 //! Environment and emissive surfaces are wide and evaluated at the center only.
 
-use super::world::WorldMesh;
 use crate::lighting::ShadePoint;
 use crate::math::luminance;
-use crate::scene::PrimId;
+use crate::scene::{PlacedMesh, PrimId, on_the_side_of};
 use crate::shading::{Surface, SurfacePoint};
 use crate::surfels::DiceTable;
 use crate::surfels::triangle_dice::{Part, Row};
@@ -34,7 +33,7 @@ pub(super) struct Look<'a> {
 /// One side of a prim, as far as points on it are concerned.
 #[derive(Clone, Copy)]
 pub(super) struct Side<'a> {
-    pub(super) world: &'a WorldMesh<'a>,
+    pub(super) world: &'a PlacedMesh<'a>,
     pub(super) prim: PrimId,
     pub(super) back: bool,
 }
@@ -42,7 +41,7 @@ pub(super) struct Side<'a> {
 impl Side<'_> {
     /// The middle of triangle `t`.
     pub(super) fn middle(&self, t: u32) -> ShadePoint {
-        self.shade_point(t, Vec3::splat(1.0 / 3.0), self.world.plane_normal(t))
+        self.shade_point(t, Vec3::splat(1.0 / 3.0), plane_normal(self.world, t))
     }
 
     /// The point with `weights` of the corners of triangle `t`. The cosine to the light is taken with the shading
@@ -50,15 +49,18 @@ impl Side<'_> {
     pub(super) fn shade_point(&self, t: u32, weights: Vec3, plane_normal: Vec3) -> ShadePoint {
         let [a, b, c] = self.world.corners(t);
         let sign = if self.back { -1.0 } else { 1.0 };
-        let shading = self
-            .world
-            .shading_normal(t, weights.y, weights.z, plane_normal);
+        let shading = self.world.shading_normal(t, weights.y, weights.z);
         ShadePoint {
             position: a * weights.x + b * weights.y + c * weights.z,
-            normal: shading * sign,
+            normal: on_the_side_of(plane_normal, shading) * sign,
             geometric_normal: plane_normal * sign,
         }
     }
+}
+
+/// Unit plane normal of the front side of triangle `t`; any where rounding leaves no area in this instance of a mesh.
+pub(super) fn plane_normal(world: &PlacedMesh<'_>, t: u32) -> Vec3 {
+    world.plane_normal(t).normalize_or(Vec3::Y)
 }
 
 /// Irradiance of `look.lights` on one cell as the mean over its quarters.
@@ -69,7 +71,7 @@ pub(super) fn quartered(
     part: &Part,
     at: (Row, u32),
 ) -> Vec3 {
-    let plane_normal = side.world.plane_normal(t);
+    let plane_normal = plane_normal(side.world, t);
     let sum: Vec3 = (0..4)
         .map(|quarter| {
             let weights = part.quarter(at.0, at.1, quarter);
@@ -88,7 +90,7 @@ pub(super) struct Steepness<'a> {
 }
 
 impl<'a> Steepness<'a> {
-    pub(super) fn new(world: &WorldMesh<'_>, dice: &DiceTable, center: &'a [Vec3]) -> Self {
+    pub(super) fn new(world: &PlacedMesh<'_>, dice: &DiceTable, center: &'a [Vec3]) -> Self {
         let mut around = Vec::new();
         if (0..dice.triangle_count())
             .into_par_iter()
@@ -111,7 +113,7 @@ impl<'a> Steepness<'a> {
     }
 
     /// True if the cells around `triangles`, which are whole, differ.
-    pub(super) fn at_triangles(&self, world: &WorldMesh<'_>, triangles: &[u32]) -> bool {
+    pub(super) fn at_triangles(&self, world: &PlacedMesh<'_>, triangles: &[u32]) -> bool {
         let points = triangles
             .iter()
             .flat_map(|t| world.mesh.triangles[*t as usize]);

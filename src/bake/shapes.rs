@@ -1,7 +1,6 @@
 //! Which prims can share one dice table: instances of one mesh placed alike but for rotation, reflection and place.
 
-use super::world::WorldMesh;
-use crate::scene::{MeshId, Prim, PrimId, Scene};
+use crate::scene::{MeshId, PlacedMesh, Prim, PrimId, Scene};
 use crate::surfels::{DiceTable, PrimDice, Sides};
 use glam::{Affine3A, Vec3};
 use rayon::prelude::*;
@@ -49,8 +48,8 @@ impl<'a> Shapes<'a> {
     /// Dice all prims at `spacing`.
     pub(super) fn dice(&self, spacing: f32) -> Vec<PrimDice> {
         let table = |prim: &PrimId| {
-            let world = WorldMesh::of(self.scene, *prim);
-            let place = |point: u32| world.point(point);
+            let world = PlacedMesh::of(self.scene, *prim);
+            let place = |point: u32| world.point(world.mesh.positions[point as usize]);
             Arc::new(DiceTable::new(&world.mesh.triangles, place, spacing))
         };
         let tables: Vec<_> = self.first.par_iter().map(table).collect();

@@ -2,9 +2,8 @@
 
 use super::BakeSettings;
 use super::shapes::{self, Shapes};
-use super::world::WorldMesh;
 use crate::diagnostics::{Cancelled, Diagnostics};
-use crate::scene::Scene;
+use crate::scene::{PlacedMesh, Scene};
 use crate::surfels::{DiceMap, PrimDice, Sides};
 use rayon::prelude::*;
 
@@ -102,7 +101,7 @@ fn as_f32(spacing: f64) -> f32 {
 /// Area of all sides with surfels, world space.
 fn total_area(scene: &Scene, sides: &[Sides]) -> f64 {
     let of_prim = |(prim, sides): (_, &Sides)| {
-        let mesh = WorldMesh::new(scene, prim);
+        let mesh = PlacedMesh::new(scene, prim);
         let area: f64 = (0..mesh.triangle_count()).map(|t| mesh.area(t)).sum();
         area * f64::from(sides.count())
     };

@@ -124,6 +124,11 @@ impl Lighting {
         self.environment.is_lit()
     }
 
+    /// True if nothing shines: no light that is not black, no environment, no emissive surface.
+    pub fn is_dark(&self) -> bool {
+        self.lights.is_empty() && !self.has_environment() && !self.has_emitters()
+    }
+
     /// True if some surface emits.
     pub fn has_emitters(&self) -> bool {
         !self.emitters.is_empty()
