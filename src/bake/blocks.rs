@@ -2,22 +2,37 @@
 
 use crate::scene::PrimId;
 use crate::surfels::triangle_dice::{Part, Row};
-use crate::surfels::{DiceMap, PrimDice, SurfelCloud};
+use crate::surfels::{DiceMap, DiceTable, SurfelCloud};
 use glam::Vec3;
 use std::ops::Range;
 
 /// Cells a block aims at: some milliseconds of work.
 const BLOCK_CELLS: u32 = 4096;
 
-/// A run of cells of one side of one prim: whole triangles, or some rows of one large triangle.
+/// Triangles of clusters a block has at most, but for a single cluster.
+const BLOCK_MEMBERS: usize = 16 * BLOCK_CELLS as usize;
+
+/// A run of cells of one side of one prim.
 #[derive(Debug, Clone)]
 pub(super) struct Block {
     pub(super) prim: PrimId,
     pub(super) back: bool,
-    triangles: Range<u32>,
-    /// Which part of the (only) triangle and which of its rows.
-    rows: Option<(usize, Range<u32>)>,
+    span: Span,
     pub(super) cell_count: u32,
+}
+
+#[derive(Debug, Clone)]
+enum Span {
+    /// Whole triangles.
+    Triangles(Range<u32>),
+    /// Some rows of one part of a large triangle.
+    Rows {
+        t: u32,
+        part: usize,
+        rows: Range<u32>,
+    },
+    /// Cells that are clusters.
+    Clusters(Range<u32>),
 }
 
 impl Block {
@@ -27,26 +42,40 @@ impl Block {
         for (prim, dice) in (0..).map(PrimId).zip(dice.prims()) {
             for back in [false, true] {
                 if !dice.surfels(back).is_empty() {
-                    cut(prim, back, dice, &mut blocks);
+                    let mut push = |span, cell_count| {
+                        blocks.push(Self {
+                            prim,
+                            back,
+                            span,
+                            cell_count,
+                        });
+                    };
+                    cut_triangles(dice.table(), &mut push);
+                    cut_clusters(dice.table(), &mut push);
                 }
             }
         }
         blocks
     }
 
-    /// Rows of cells in order: triangle, number of the part's first cell within the prim, part, row.
+    /// Rows of cells within triangles in order: triangle, number of the part's first cell within the prim, part, row.
     pub(super) fn for_each_row(
         &self,
-        dice: &PrimDice,
+        table: &DiceTable,
         mut visit: impl FnMut(u32, u32, &Part, Row),
     ) {
-        for t in self.triangles.clone() {
-            let (mut first, parts) = dice.parts(t);
+        let triangles = match &self.span {
+            Span::Triangles(triangles) => triangles.clone(),
+            Span::Rows { t, .. } => *t..t + 1,
+            Span::Clusters(_) => 0..0,
+        };
+        for t in triangles {
+            let (mut first, parts) = table.parts(t);
             for (number, part) in parts.enumerate() {
-                let rows = match &self.rows {
-                    None => 0..part.row_count(),
-                    Some((only, rows)) if *only == number => rows.clone(),
-                    Some(_) => 0..0,
+                let rows = match &self.span {
+                    Span::Rows { part, rows, .. } if *part == number => rows.clone(),
+                    Span::Rows { .. } => 0..0,
+                    _ => 0..part.row_count(),
                 };
                 for row in rows {
                     visit(t, first, &part, part.row(row));
@@ -55,28 +84,29 @@ impl Block {
             }
         }
     }
+
+    /// The numbers of its cells that are clusters.
+    pub(super) fn clusters(&self) -> Range<u32> {
+        match &self.span {
+            Span::Clusters(cells) => cells.clone(),
+            _ => 0..0,
+        }
+    }
 }
 
-/// Cut one side of a prim into blocks.
-fn cut(prim: PrimId, back: bool, dice: &PrimDice, blocks: &mut Vec<Block>) {
-    let block = |triangles, rows, cell_count| Block {
-        prim,
-        back,
-        triangles,
-        rows,
-        cell_count,
-    };
+/// Cut the cells within triangles of one side of a prim into blocks.
+fn cut_triangles(table: &DiceTable, push: &mut impl FnMut(Span, u32)) {
     let (mut start, mut pending) = (0, 0);
-    for t in 0..dice.triangle_count() {
-        let cells: u32 = dice.parts(t).1.map(|part| part.cell_count()).sum();
+    for t in 0..table.triangle_count() {
+        let cells: u32 = table.parts(t).1.map(|part| part.cell_count()).sum();
         if pending > 0 && pending + cells > BLOCK_CELLS {
-            blocks.push(block(start..t, None, pending));
+            push(Span::Triangles(start..t), pending);
             (start, pending) = (t, 0);
         }
         if cells > BLOCK_CELLS {
-            for (number, part) in dice.parts(t).1.enumerate() {
-                for (rows, count) in row_runs(&part) {
-                    blocks.push(block(t..t + 1, Some((number, rows)), count));
+            for (part, rows_of) in table.parts(t).1.enumerate() {
+                for (rows, count) in row_runs(&rows_of) {
+                    push(Span::Rows { t, part, rows }, count);
                 }
             }
             start = t + 1;
@@ -85,7 +115,26 @@ fn cut(prim: PrimId, back: bool, dice: &PrimDice, blocks: &mut Vec<Block>) {
         }
     }
     if pending > 0 {
-        blocks.push(block(start..dice.triangle_count(), None, pending));
+        push(Span::Triangles(start..table.triangle_count()), pending);
+    }
+}
+
+/// Cut the clusters of one side of a prim into blocks.
+fn cut_clusters(table: &DiceTable, push: &mut impl FnMut(Span, u32)) {
+    let (mut start, mut members) = (table.within_count(), 0);
+    for cell in table.within_count()..table.cell_count() {
+        let more = table.members(cell).len();
+        if cell > start && (cell - start >= BLOCK_CELLS || members + more > BLOCK_MEMBERS) {
+            push(Span::Clusters(start..cell), cell - start);
+            (start, members) = (cell, 0);
+        }
+        members += more;
+    }
+    if start < table.cell_count() {
+        push(
+            Span::Clusters(start..table.cell_count()),
+            table.cell_count() - start,
+        );
     }
 }
 

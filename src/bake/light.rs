@@ -4,16 +4,15 @@
 //! neighbor. Where a cell and its neighbors differ by more than
 //! [`STEEPEST`], which is what a penumbra, a shadow's edge or the falloff of a near light looks like at the cells' size, UsdLux
 //! lights (the sharp sources) are evaluated again at the middles of its four quarters, and their mean counts.
-//! Neighbors are the adjoining cells of the same triangle, and for triangles of one cell the cells of all triangles
-//! that share a point with it. What lies between cells that agree, such as the shadow of a twig, is not looked for.
+//! Neighbors are the adjoining cells of the same triangle, and for whole triangles and clusters the cells of all
+//! triangles that share a point with them. Clusters are evaluated at the middles of some of their triangles. What lies between cells that agree, such as the shadow of a twig, is not looked for.
 //! Environment and emissive surfaces are wide and evaluated at the center only.
 
-use super::world::WorldMesh;
-use crate::lighting::ShadePoint;
+use crate::lighting::{ShadePoint, smooth_offset};
 use crate::math::luminance;
-use crate::scene::PrimId;
+use crate::scene::{PlacedMesh, PrimId, on_the_side_of};
 use crate::shading::{Surface, SurfacePoint};
-use crate::surfels::PrimDice;
+use crate::surfels::DiceTable;
 use crate::surfels::triangle_dice::{Part, Row};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -37,25 +36,32 @@ pub(super) struct Look<'a> {
 /// One side of a prim, as far as points on it are concerned.
 #[derive(Clone, Copy)]
 pub(super) struct Side<'a> {
-    pub(super) world: &'a WorldMesh<'a>,
+    pub(super) world: &'a PlacedMesh<'a>,
     pub(super) prim: PrimId,
     pub(super) back: bool,
 }
 
 impl Side<'_> {
+    /// The middle of triangle `t`.
+    pub(super) fn middle(&self, t: u32) -> ShadePoint {
+        self.shade_point(t, Vec3::splat(1.0 / 3.0), plane_normal(self.world, t))
+    }
+
     /// The point with `weights` of the corners of triangle `t`. The cosine to the light is taken with the shading
     /// normal, as a renderer does; shadows and the side that is lit go by the plane.
     pub(super) fn shade_point(&self, t: u32, weights: Vec3, plane_normal: Vec3) -> ShadePoint {
         let [a, b, c] = self.world.corners(t);
         let sign = if self.back { -1.0 } else { 1.0 };
-        let shading = self
-            .world
-            .shading_normal(t, weights.y, weights.z, plane_normal);
+        let shading = on_the_side_of(
+            plane_normal,
+            self.world.shading_normal(t, weights.y, weights.z),
+        );
         let position = a * weights.x + b * weights.y + c * weights.z;
         let normal = shading * sign;
         let smooth_offset = (shading != plane_normal)
-            .then(|| self.world.smooth_offset(t, weights, normal))
-            .flatten();
+            .then(|| self.world.corner_normals(t))
+            .flatten()
+            .map(|normals| smooth_offset(&[a, b, c], &normals, weights, normal));
         ShadePoint {
             position,
             normal,
@@ -67,9 +73,18 @@ impl Side<'_> {
 
 /// Number for [`Look::glance`] of a cell: those of neighbors differ.
 pub(super) fn glance_number(t: u32, row: Row, column: u32) -> usize {
+    5 * column as usize + 7 * row.index as usize + whole_number(t)
+}
+
+/// The same for whole triangles and clusters, `t` being the first triangle.
+pub(super) fn whole_number(t: u32) -> usize {
     // the upper bits of multiples of the golden ratio: neighboring triangles have distant numbers
-    let triangle = t.wrapping_mul(0x9e37_79b9) >> 28;
-    5 * column as usize + 7 * row.index as usize + triangle as usize
+    (t.wrapping_mul(0x9e37_79b9) >> 28) as usize
+}
+
+/// Unit plane normal of the front side of triangle `t`; any where rounding leaves no area in this instance of a mesh.
+pub(super) fn plane_normal(world: &PlacedMesh<'_>, t: u32) -> Vec3 {
+    world.plane_normal(t).normalize_or(Vec3::Y)
 }
 
 /// Irradiance of `look.lights` on one cell as the mean over its quarters.
@@ -80,7 +95,7 @@ pub(super) fn quartered(
     part: &Part,
     at: (Row, u32),
 ) -> Vec3 {
-    let plane_normal = side.world.plane_normal(t);
+    let plane_normal = plane_normal(side.world, t);
     let sum: Vec3 = (0..4)
         .map(|quarter| {
             let weights = part.quarter(at.0, at.1, quarter);
@@ -94,12 +109,12 @@ pub(super) fn quartered(
 pub(super) struct Steepness<'a> {
     /// By cell.
     center: &'a [Vec3],
-    /// Lowest and highest around each position of the mesh; empty if no triangle is a single cell.
+    /// Lowest and highest around each position of the mesh; empty if all triangles are cut.
     around: Vec<[f32; 2]>,
 }
 
 impl<'a> Steepness<'a> {
-    pub(super) fn new(world: &WorldMesh<'_>, dice: &PrimDice, center: &'a [Vec3]) -> Self {
+    pub(super) fn new(world: &PlacedMesh<'_>, dice: &DiceTable, center: &'a [Vec3]) -> Self {
         let mut around = Vec::new();
         if (0..dice.triangle_count())
             .into_par_iter()
@@ -121,15 +136,15 @@ impl<'a> Steepness<'a> {
         Self { center, around }
     }
 
-    /// True if the cells around single-cell triangle `t` differ.
-    pub(super) fn at_triangle(&self, world: &WorldMesh<'_>, t: u32) -> bool {
-        let ranges = world.mesh.triangles[t as usize].map(|i| self.around[i as usize]);
-        let low = ranges
+    /// True if the cells around `triangles`, which are whole, differ.
+    pub(super) fn at_triangles(&self, world: &PlacedMesh<'_>, triangles: &[u32]) -> bool {
+        let points = triangles
             .iter()
-            .fold(f32::INFINITY, |low, range| low.min(range[0]));
-        let high = ranges
-            .iter()
-            .fold(f32::NEG_INFINITY, |high, range| high.max(range[1]));
+            .flat_map(|t| world.mesh.triangles[*t as usize]);
+        let [low, high] = points.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], i| {
+            let range = self.around[i as usize];
+            [low.min(range[0]), high.max(range[1])]
+        });
         high - low > STEEPEST * high
     }
 

@@ -6,10 +6,9 @@
 
 use super::Receivers;
 use super::lens::{Frame, Lens};
-use super::world::{WorldPrim, on_the_side_of};
 use crate::results::{PixelShare, Target};
 use crate::scene::camera::Projection;
-use crate::scene::{Camera, MaterialId, Scene};
+use crate::scene::{Camera, MaterialId, PlacedMesh, Scene, on_the_side_of};
 use crate::shading::SurfacePoint;
 use crate::trace::{Hit, Tracer};
 use glam::{DAffine3, DMat3, DVec3, Vec3, Vec4};
@@ -237,11 +236,11 @@ impl<'a> View<'a> {
         let hit = (self.cast)(ray.origin, direction, ray.length)?;
         let along = f64::from(hit.distance) / scale * ray.axial;
         let depth = self.lens.near() + along;
-        let world = WorldPrim::new(self.scene, &self.scene.prims[hit.prim.index()]);
-        let t = hit.triangle as usize;
+        let world = PlacedMesh::of(self.scene, hit.prim);
+        let t = hit.triangle;
         let side = if hit.front { 1.0 } else { -1.0 };
-        let geometric = world.normal(world.mesh.plane_normal(t)) * side;
-        let shading = world.normal(world.mesh.shading_normal(t, hit.u, hit.v)) * side;
+        let geometric = world.normal(world.mesh.plane_normal(t as usize)) * side;
+        let shading = world.shading_normal(t, hit.u, hit.v) * side;
         // A pixel covers its area at that depth × cosine to the axis / cosine to the surface.
         let slant = geometric.dot(-direction).abs() / ray.axial as f32;
         let stretch = slant.max(MOST_STRETCH.powi(-2)).sqrt().recip();
@@ -308,12 +307,9 @@ impl<'a> View<'a> {
             merged.surface.u = mean_of(|seen| seen.surface.u);
             merged.surface.v = mean_of(|seen| seen.surface.v);
             merged.depth = mean_of(|seen| seen.depth);
-            let world = WorldPrim::new(self.scene, &self.scene.prims[merged.surface.prim.index()]);
-            merged.position = world.position(
-                merged.surface.triangle as usize,
-                merged.surface.u,
-                merged.surface.v,
-            );
+            let world = PlacedMesh::of(self.scene, merged.surface.prim);
+            merged.position =
+                world.position(merged.surface.triangle, merged.surface.u, merged.surface.v);
         }
         merged.surface.footprint *= (count / (self.samples * self.samples) as f32).sqrt();
         merged
@@ -397,7 +393,7 @@ pub fn framing_camera(scene: &Scene) -> Camera {
 #[cfg(test)]
 mod tests {
     use super::super::lens::tests::camera as turned_camera;
-    use super::super::world::tests::scene_of;
+    use super::super::testing::scene_of;
     use super::*;
     use crate::scene::{Mesh, Normals, PrimId};
     use glam::Affine3A;

@@ -4,7 +4,8 @@ pub mod camera;
 pub mod lens;
 pub mod primvar;
 pub mod surfel;
-mod world;
+#[cfg(test)]
+mod testing;
 
 use crate::results::Target;
 use crate::shading::SurfacePoint;

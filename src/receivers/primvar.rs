@@ -8,9 +8,8 @@
 //! of the last used point before them in the authored order (of the first used one, if there is none before).
 
 use super::Receivers;
-use super::world::{WorldPrim, on_the_side_of};
 use crate::results::{BakeInterpolation, PrimvarSpan, Target};
-use crate::scene::{Cage, PrimId, Scene};
+use crate::scene::{Cage, PlacedMesh, PrimId, Scene, on_the_side_of};
 use crate::shading::SurfacePoint;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -78,7 +77,7 @@ struct Placed {
 }
 
 fn place_prim(scene: &Scene, id: PrimId, interpolation: BakeInterpolation) -> Option<Placed> {
-    let world = WorldPrim::new(scene, &scene.prims[id.index()]);
+    let world = PlacedMesh::new(scene, &scene.prims[id.index()]);
     let cage = world.mesh.cage.as_ref()?;
     let slots = Slots::new(cage, interpolation);
     let surroundings = surroundings(&world, &slots);
@@ -227,7 +226,7 @@ struct Around {
 }
 
 /// For every slot; `None` without any triangle.
-fn surroundings(world: &WorldPrim<'_>, slots: &Slots<'_>) -> Vec<Option<Around>> {
+fn surroundings(world: &PlacedMesh<'_>, slots: &Slots<'_>) -> Vec<Option<Around>> {
     let mesh = world.mesh;
     let mut all: Vec<Option<Around>> = vec![None; slots.slots.len()];
     for (t, corners) in (0_u32..).zip(&mesh.triangles) {
@@ -260,8 +259,9 @@ fn surroundings(world: &WorldPrim<'_>, slots: &Slots<'_>) -> Vec<Option<Around>>
     all
 }
 
-fn vertex(world: &WorldPrim<'_>, id: PrimId, slot: &Slot, around: &Around) -> Vertex {
-    let t = around.triangle as usize;
+#[expect(clippy::cast_possible_truncation, reason = "a length, rounded to f32")]
+fn vertex(world: &PlacedMesh<'_>, id: PrimId, slot: &Slot, around: &Around) -> Vertex {
+    let t = around.triangle;
     let pull = if slot.is_on_edge { PULL } else { 0.0 };
     let weight = |corner: u8| {
         pull / 3.0
@@ -293,14 +293,14 @@ fn vertex(world: &WorldPrim<'_>, id: PrimId, slot: &Slot, around: &Around) -> Ve
             triangle: around.triangle,
             u,
             v,
-            footprint: world.area(t).sqrt(),
+            footprint: world.area(t).sqrt() as f32,
         },
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::world::tests::scene_of;
+    use super::super::testing::scene_of;
     use super::*;
     use crate::scene::{Mesh, Normals};
     use glam::Affine3A;
@@ -378,9 +378,9 @@ mod tests {
         let far = receivers.position[3];
         assert!(far.y == 0.0 && far.x < 2.0 && far.z < 1.0, "{far}");
         // Surface points say the same place.
-        let world = WorldPrim::new(&scene, &scene.prims[0]);
+        let world = PlacedMesh::new(&scene, &scene.prims[0]);
         for (position, point) in receivers.position.iter().zip(&receivers.surface) {
-            let again = world.position(point.triangle as usize, point.u, point.v);
+            let again = world.position(point.triangle, point.u, point.v);
             assert!(position.distance(again) < 1e-6);
         }
     }

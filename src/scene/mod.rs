@@ -8,6 +8,7 @@ pub mod camera;
 pub mod light;
 pub mod material;
 pub mod mesh;
+pub mod placed;
 pub mod prim;
 pub mod render_product;
 
@@ -15,6 +16,7 @@ pub use camera::Camera;
 pub use light::{Light, LightKind, Shaping};
 pub use material::{ColorSpace, Input, Material, MaterialId, TextureRead, Wrap};
 pub use mesh::{Cage, Interpolation, Mesh, MeshId, Normals, Primvar};
+pub use placed::{PlacedMesh, on_the_side_of};
 pub use prim::{FaceMaterials, Prim, PrimId, PrimSource, Purpose};
 pub use render_product::{RenderProduct, RenderSettings, RenderVar};
 

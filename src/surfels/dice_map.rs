@@ -1,11 +1,12 @@
 //! How the triangles of a scene are cut into micropolygons, and which surfel a point of a triangle belongs to.
 //!
-//! Surfels are numbered prim by prim; within a prim the front cells come triangle by triangle, then, where the prim
-//! was diced on both sides, the back cells in the same order.
+//! Surfels are numbered prim by prim; within a prim the front cells come in the order of its [`DiceTable`], then, where
+//! the prim was diced on both sides, the back cells in the same order.
 
-use super::triangle_dice::{Dicing, Part, TriangleDice};
-use glam::Vec3;
+use super::DiceTable;
+use std::collections::HashSet;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Which sides of a prim carry surfels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,83 +27,27 @@ impl Sides {
     }
 }
 
-/// Marks an entry of [`Cells::Mixed`] that points into `diced`.
-const DICED: u32 = 1 << 31;
-/// Entry of a triangle without area.
-const NOTHING: u32 = u32::MAX;
-
-/// Cells of the triangles of a prim.
-#[derive(Debug, Clone)]
-enum Cells {
-    /// Every triangle is one cell.
-    OnePerTriangle,
-    /// 4 bytes a triangle: the number of its only cell, [`DICED`] + an index into `diced`, or [`NOTHING`].
-    Mixed {
-        triangles: Box<[u32]>,
-        diced: Box<[TriangleDice]>,
-    },
-}
-
-/// How the triangles of one prim are diced.
+/// How one prim is diced: the table of its mesh, and which sides.
 #[derive(Debug, Clone)]
 pub struct PrimDice {
     first: u32,
-    cell_count: u32,
-    triangle_count: u32,
     sides: Sides,
-    cells: Cells,
+    table: Arc<DiceTable>,
 }
 
 impl PrimDice {
-    /// Dice `triangle_count` triangles with the world-space `corners` at `spacing`. Fewer than 2³¹ cells: the caller
-    /// chooses the spacing accordingly.
-    pub fn new(
-        triangle_count: u32,
-        corners: impl Fn(u32) -> [Vec3; 3],
-        spacing: f32,
-        sides: Sides,
-    ) -> Self {
-        let mut triangles = Vec::with_capacity(triangle_count as usize);
-        let mut diced = Vec::new();
-        let (mut next, mut diced_count) = (0, 0_u32);
-        for t in 0..triangle_count {
-            let dicing = Dicing::new(corners(t), spacing);
-            triangles.push(match dicing {
-                Dicing::Nothing => NOTHING,
-                Dicing::Whole => next,
-                Dicing::Cells(dice) => {
-                    diced.push(dice.starting_at(next));
-                    diced_count += 1;
-                    DICED | (diced_count - 1)
-                }
-            });
-            next += dicing.cell_count();
-        }
-        let plain = diced.is_empty() && next == triangle_count;
+    /// A prim whose mesh is diced as `table` says.
+    pub fn new(table: Arc<DiceTable>, sides: Sides) -> Self {
         Self {
             first: 0,
-            cell_count: next,
-            triangle_count,
             sides,
-            cells: if plain {
-                Cells::OnePerTriangle
-            } else {
-                Cells::Mixed {
-                    triangles: triangles.into(),
-                    diced: diced.into(),
-                }
-            },
+            table,
         }
     }
 
-    /// Number of cells on one side.
-    pub fn cell_count(&self) -> u32 {
-        self.cell_count
-    }
-
-    /// Number of triangles.
-    pub fn triangle_count(&self) -> u32 {
-        self.triangle_count
+    /// The cells of one side.
+    pub fn table(&self) -> &DiceTable {
+        &self.table
     }
 
     /// Which sides carry surfels.
@@ -112,68 +57,14 @@ impl PrimDice {
 
     /// Its surfels on the front (`false`) or back (`true`) side, in cell order; empty for a back that was not diced.
     pub fn surfels(&self, back: bool) -> Range<u32> {
-        let skipped = u32::from(back) * self.cell_count;
+        let cell_count = self.table.cell_count();
+        let skipped = u32::from(back) * cell_count;
         let count = if back && self.sides == Sides::Front {
             0
         } else {
-            self.cell_count
+            cell_count
         };
         self.first + skipped..self.first + skipped + count
-    }
-
-    /// Number of the first cell of triangle `t`, and its parts in cell order (none without area).
-    pub fn parts(&self, t: u32) -> (u32, impl Iterator<Item = Part> + use<>) {
-        let entry = match &self.cells {
-            Cells::OnePerTriangle => t,
-            Cells::Mixed { triangles, .. } => triangles[t as usize],
-        };
-        let (first, whole, dice) = match &self.cells {
-            Cells::Mixed { .. } if entry == NOTHING => (0, None, None),
-            Cells::Mixed { diced, .. } if entry & DICED != 0 => {
-                let dice = diced[(entry ^ DICED) as usize];
-                (dice.first(), None, Some(dice))
-            }
-            _ => (entry, Some(Part::WHOLE), None),
-        };
-        (
-            first,
-            whole
-                .into_iter()
-                .chain(dice.into_iter().flat_map(|dice| dice.parts())),
-        )
-    }
-
-    /// True if triangle `t` is one cell (or none, without area).
-    pub fn is_whole(&self, t: u32) -> bool {
-        match &self.cells {
-            Cells::OnePerTriangle => true,
-            Cells::Mixed { triangles, .. } => triangles[t as usize] & DICED == 0,
-        }
-    }
-
-    /// Number of the cell at barycentric `(u, v)` of triangle `t`.
-    pub fn cell_at(&self, t: u32, u: f32, v: f32) -> Option<u32> {
-        match &self.cells {
-            Cells::OnePerTriangle => Some(t),
-            Cells::Mixed { triangles, diced } => match triangles[t as usize] {
-                NOTHING => None,
-                entry if entry & DICED != 0 => {
-                    let dice = &diced[(entry ^ DICED) as usize];
-                    Some(dice.cell_at(Vec3::new(1.0 - u - v, u, v)))
-                }
-                cell => Some(cell),
-            },
-        }
-    }
-
-    fn bytes(&self) -> usize {
-        size_of::<Self>()
-            + match &self.cells {
-                Cells::OnePerTriangle => 0,
-                Cells::Mixed { triangles, diced } => {
-                    size_of_val(&**triangles) + size_of_val(&**diced)
-                }
-            }
     }
 }
 
@@ -190,7 +81,7 @@ impl DiceMap {
         let mut next = 0;
         for prim in &mut prims {
             prim.first = next;
-            next += prim.cell_count * prim.sides.count();
+            next += prim.table.cell_count() * prim.sides.count();
         }
         Self { prims }
     }
@@ -204,7 +95,7 @@ impl DiceMap {
     pub fn surfel_count(&self) -> usize {
         let last = self.prims.last();
         last.map_or(0, |prim| {
-            (prim.first + prim.cell_count * prim.sides.count()) as usize
+            (prim.first + prim.table.cell_count() * prim.sides.count()) as usize
         })
     }
 
@@ -219,13 +110,16 @@ impl DiceMap {
         if !front && prim.sides == Sides::Front {
             return None;
         }
-        let cell = prim.cell_at(triangle, u, v)?;
+        let cell = prim.table.cell_at(triangle, u, v)?;
         Some(prim.surfels(!front).start + cell)
     }
 
-    /// Total bytes held.
+    /// Total bytes held; tables that prims share count once.
     pub fn bytes(&self) -> usize {
-        self.prims.iter().map(PrimDice::bytes).sum()
+        let mut seen = HashSet::new();
+        let tables = self.prims.iter().map(|prim| &prim.table);
+        let tables = tables.filter(|table| seen.insert(Arc::as_ptr(table)));
+        size_of_val(&*self.prims) + tables.map(|table| table.bytes()).sum::<usize>()
     }
 }
 
@@ -233,19 +127,25 @@ impl DiceMap {
 mod tests {
     use super::*;
 
-    /// Small triangle, large triangle, degenerate triangle.
-    fn corners(t: u32) -> [Vec3; 3] {
-        let size = [0.1, 10.0, 0.0][t as usize];
-        [Vec3::ZERO, Vec3::X * size, Vec3::Y * size]
+    use glam::Vec3;
+
+    /// The first `count` of a small, a large and a degenerate triangle.
+    fn table(count: u32) -> Arc<DiceTable> {
+        let triangles: Vec<_> = (0..count).map(|t| [0, 2 * t + 1, 2 * t + 2]).collect();
+        let place = |point: u32| {
+            let size = [0.0, 0.1, 0.1, 10.0, 10.0, 0.0, 0.0][point as usize];
+            size * if point % 2 == 1 { Vec3::X } else { Vec3::Y }
+        };
+        Arc::new(DiceTable::new(&triangles, place, 1.0))
     }
 
     #[test]
     fn surfels_of_all_prims_sides_and_triangles_are_numbered_without_gaps() {
         let map = DiceMap::new(vec![
-            PrimDice::new(3, corners, 1.0, Sides::Both),
-            PrimDice::new(1, corners, 1.0, Sides::Front),
+            PrimDice::new(table(3), Sides::Both),
+            PrimDice::new(table(1), Sides::Front),
         ]);
-        let cells = map.prims()[0].cell_count();
+        let cells = map.prims()[0].table().cell_count();
         assert_eq!(map.surfel_count(), 2 * cells as usize + 1);
         assert_eq!(map.surfel_at(0, 0, 0.2, 0.2, true), Some(0));
         assert_eq!(map.surfel_at(0, 0, 0.2, 0.2, false), Some(cells));
@@ -264,10 +164,15 @@ mod tests {
     }
 
     #[test]
-    fn a_dense_mesh_needs_no_bytes_a_triangle() {
-        let dense = DiceMap::new(vec![PrimDice::new(1000, |_| corners(0), 1.0, Sides::Front)]);
-        assert_eq!(dense.bytes(), size_of::<PrimDice>());
-        assert_eq!(dense.surfel_at(0, 999, 0.3, 0.3, true), Some(999));
+    fn instances_share_the_bytes_of_their_table() {
+        let table = table(3);
+        let instances = |count| {
+            let prim = |_| PrimDice::new(Arc::clone(&table), Sides::Front);
+            DiceMap::new((0..count).map(prim).collect())
+        };
+        let more = instances(100).bytes() - instances(10).bytes();
+        assert_eq!(more, 90 * size_of::<PrimDice>());
+        assert!(instances(1).bytes() > table.bytes());
         assert_eq!(DiceMap::default().surfel_count(), 0);
     }
 }

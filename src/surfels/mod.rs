@@ -1,10 +1,13 @@
 //! Surfel clouds: small disks that cover the surfaces of a scene, with their light. PBGI §4.
 
+mod clusters;
 pub mod dice_map;
+pub mod dice_table;
 pub mod nearest;
 pub mod triangle_dice;
 
 pub use dice_map::{DiceMap, PrimDice, Sides};
+pub use dice_table::DiceTable;
 pub use nearest::NearestMap;
 
 use glam::{DVec3, Vec3};
@@ -21,9 +24,10 @@ pub struct SurfelCloud {
     /// Unit normals; a surfel is one-sided, it shines and occludes towards its normal. A surface seen from both
     /// sides has two surfels.
     pub normal: Vec<Vec3>,
-    /// Radius of a disk that covers the micropolygon (footprint; larger than `sqrt(area/π)`).
+    /// Radius of a disk that covers the micropolygon or cluster of triangles (footprint; for most larger than
+    /// `sqrt(area/π)`).
     pub radius: Vec<f32>,
-    /// True area of the micropolygon, stage units².
+    /// True area of the micropolygon or cluster, stage units².
     pub area: Vec<f32>,
     /// Radiosity: emission + reflected light (π · outgoing radiance of a diffuse surface).
     pub radiosity: Vec<Vec3>,
