@@ -592,13 +592,17 @@ mod tests {
         }
         let prim = with_token(prim, "orientation", "leftHanded");
         let prim = with_ints(prim, "holeIndices", &[3]);
-        let prim = sharp_edges(prim, &[6, 7, 7, 12], 10.0);
+        let prim = sharp_edges(prim, &[2, 7, 7, 12, 12, 17, 17, 22], 10.0);
         let corners: Vec<Vec2> = (0_u8..64)
             .map(|i| Vec2::new(f32::from(i % 7), f32::from(i / 9)))
             .collect();
         let corners = Value::Vec2Array(corners);
         let prim = with_attribute(prim, "primvars:st", corners, Some("faceVarying"));
-        let vertices = Value::FloatArray((0_u8..26).map(|i| f32::from(i * i % 11)).collect());
+        let vertices = Value::FloatArray(
+            (0_u8..26)
+                .map(|i| f32::from((i % 15) * (i % 15) % 11))
+                .collect(),
+        );
         let prim = with_attribute(prim, "primvars:w", vertices, Some("vertex"));
         let [cage, fine] = [0, 2].map(|level| refine_with(&prim, level, &["st", "w"]).0);
         assert_eq!(cage.positions.len(), 26);
