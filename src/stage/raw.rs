@@ -19,6 +19,81 @@ pub struct Request {
     pub values_not_needed: Vec<String>,
 }
 
+/// Attributes of geometry, cameras and render settings, which every job needs.
+const ALWAYS: [&str; 63] = [
+    // Imageable, Xformable
+    "visibility",
+    "purpose",
+    "xformOpOrder",
+    "xformOp:*",
+    "extent",
+    // Mesh and other PointBased
+    "points",
+    "normals",
+    "faceVertexCounts",
+    "faceVertexIndices",
+    "holeIndices",
+    "orientation",
+    "doubleSided",
+    "subdivisionScheme",
+    "interpolateBoundary",
+    "faceVaryingLinearInterpolation",
+    "triangleSubdivisionRule",
+    "cornerIndices",
+    "cornerSharpnesses",
+    "creaseIndices",
+    "creaseLengths",
+    "creaseSharpnesses",
+    "primvars:normals",
+    // implicit gprims
+    "size",
+    "radius",
+    "radiusTop",
+    "radiusBottom",
+    "height",
+    "axis",
+    "width",
+    "length",
+    // PointInstancer
+    "protoIndices",
+    "positions",
+    "orientations",
+    "orientationsf",
+    "scales",
+    "ids",
+    "invisibleIds",
+    // Camera
+    "projection",
+    "horizontalAperture",
+    "verticalAperture",
+    "horizontalApertureOffset",
+    "verticalApertureOffset",
+    "focalLength",
+    "clippingRange",
+    "exposure",
+    // UsdRender
+    "resolution",
+    "pixelAspectRatio",
+    "aspectRatioConformPolicy",
+    "dataWindowNDC",
+    "includedPurposes",
+    "materialBindingPurposes",
+    "productName",
+    "productType",
+    "sourceName",
+    "sourceType",
+    "dataType",
+    "driver:parameters:aov:*",
+    // GeomSubset
+    "elementType",
+    "familyName",
+    "indices",
+    "subsetFamily:*",
+    // GeomModelAPI
+    "model:drawMode",
+    "model:applyDrawMode",
+];
+
 /// Inputs of UsdLux that files before USD 21 author without `inputs:` and that no other schema asks for.
 const OLD_LIGHT_INPUTS: [&str; 10] = [
     "angle",
@@ -36,79 +111,7 @@ const OLD_LIGHT_INPUTS: [&str; 10] = [
 impl Request {
     /// The attributes that `settings` can make use of.
     pub fn for_settings(settings: &ReadSettings) -> Self {
-        let mut attributes: Vec<&str> = vec![
-            // Imageable, Xformable
-            "visibility",
-            "purpose",
-            "xformOpOrder",
-            "xformOp:*",
-            "extent",
-            // Mesh and other PointBased
-            "points",
-            "normals",
-            "faceVertexCounts",
-            "faceVertexIndices",
-            "holeIndices",
-            "orientation",
-            "doubleSided",
-            "subdivisionScheme",
-            "interpolateBoundary",
-            "faceVaryingLinearInterpolation",
-            "triangleSubdivisionRule",
-            "cornerIndices",
-            "cornerSharpnesses",
-            "creaseIndices",
-            "creaseLengths",
-            "creaseSharpnesses",
-            "primvars:normals",
-            // implicit gprims
-            "size",
-            "radius",
-            "radiusTop",
-            "radiusBottom",
-            "height",
-            "axis",
-            "width",
-            "length",
-            // PointInstancer
-            "protoIndices",
-            "positions",
-            "orientations",
-            "orientationsf",
-            "scales",
-            "ids",
-            "invisibleIds",
-            // Camera
-            "projection",
-            "horizontalAperture",
-            "verticalAperture",
-            "horizontalApertureOffset",
-            "verticalApertureOffset",
-            "focalLength",
-            "clippingRange",
-            "exposure",
-            // UsdRender
-            "resolution",
-            "pixelAspectRatio",
-            "aspectRatioConformPolicy",
-            "dataWindowNDC",
-            "includedPurposes",
-            "materialBindingPurposes",
-            "productName",
-            "productType",
-            "sourceName",
-            "sourceType",
-            "dataType",
-            "driver:parameters:aov:*",
-            // GeomSubset
-            "elementType",
-            "familyName",
-            "indices",
-            "subsetFamily:*",
-            // GeomModelAPI
-            "model:drawMode",
-            "model:applyDrawMode",
-        ];
+        let mut attributes: Vec<&str> = ALWAYS.to_vec();
         if settings.materials {
             attributes.extend([
                 "inputs:*",

@@ -110,7 +110,7 @@ pub(super) fn placements(
     placed
 }
 
-/// True if the prim names what skins it, or lies inside a SkelRoot where it or an ancestor binds a skeleton (with or
+/// True if the prim names what skins it, or lies inside a `SkelRoot` where it or an ancestor binds a skeleton (with or
 /// without `SkelBindingAPI` applied: renderers differ, so the pose is in doubt either way).
 fn is_skinned(raw: &RawStage, occurrences: &[Occurrence], occurrence: usize) -> bool {
     let prim = |at: usize| &raw.prims[occurrences[at].prim];
