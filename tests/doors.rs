@@ -3,6 +3,11 @@
 //! Stages are those of the shared assets (skipped with a note where they are missing) and small ones written here for
 //! what the assets have not. `cargo test --test doors -- --nocapture` prints the table.
 
+#![expect(
+    clippy::print_stdout,
+    reason = "the table of stages is what people run it for"
+)]
+
 #[path = "support/python.rs"]
 #[expect(dead_code, reason = "shared with tests that run scripts of their own")]
 mod python;
@@ -616,9 +621,7 @@ def Xform "W" ( prepend apiSchemas = ["CollectionAPI:bound", "MaterialBindingAPI
     same(&text, &settings, [3, 3, 0, 0, 0, 0]);
 }
 
-#[test]
-fn lights_cameras_and_render_settings() {
-    let text = r#"
+const LIT: &str = r#"
 (
     renderSettingsPrimPath = "/Render/final"
 )
@@ -697,13 +700,16 @@ def Scope "Render" {
     }
 }
 "#;
-    let scene = same(text, &coarse(None), [0, 0, 0, 8, 2, 2]);
+
+#[test]
+fn lights_cameras_and_render_settings() {
+    let scene = same(LIT, &coarse(None), [0, 0, 0, 8, 2, 2]);
     assert_eq!(scene.render_settings[0].products[0].vars.len(), 2);
     let settings = ReadSettings {
         lights: false,
         ..coarse(None)
     };
-    same(text, &settings, [0, 0, 0, 0, 2, 2]);
+    same(LIT, &settings, [0, 0, 0, 0, 2, 2]);
 }
 
 #[test]

@@ -19,22 +19,8 @@ pub struct Request {
     pub values_not_needed: Vec<String>,
 }
 
-/// Inputs of UsdLux that files before USD 21 author without `inputs:` and that no other schema asks for.
-const OLD_LIGHT_INPUTS: [&str; 10] = [
-    "angle",
-    "exposure",
-    "diffuse",
-    "specular",
-    "normalize",
-    "enableColorTemperature",
-    "colorTemperature",
-    "shaping:*",
-    "shadow:*",
-    "texture:*",
-];
-
-/// Attributes that geometry, cameras and render settings are made of: wanted by every job.
-const ALWAYS: &[&str] = &[
+/// Attributes of geometry, cameras and render settings, which every job needs.
+const ALWAYS: [&str; 63] = [
     // Imageable, Xformable
     "visibility",
     "purpose",
@@ -108,10 +94,24 @@ const ALWAYS: &[&str] = &[
     "model:applyDrawMode",
 ];
 
+/// Inputs of UsdLux that files before USD 21 author without `inputs:` and that no other schema asks for.
+const OLD_LIGHT_INPUTS: [&str; 10] = [
+    "angle",
+    "exposure",
+    "diffuse",
+    "specular",
+    "normalize",
+    "enableColorTemperature",
+    "colorTemperature",
+    "shaping:*",
+    "shadow:*",
+    "texture:*",
+];
+
 impl Request {
     /// The attributes that `settings` can make use of.
     pub fn for_settings(settings: &ReadSettings) -> Self {
-        let mut attributes = ALWAYS.to_vec();
+        let mut attributes: Vec<&str> = ALWAYS.to_vec();
         if settings.materials {
             attributes.extend([
                 "inputs:*",

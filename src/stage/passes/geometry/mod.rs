@@ -36,6 +36,7 @@ use gprims::Gprim;
 use placement::{Kind, Placement};
 use primvars::AuthoredPrimvar;
 use rayon::prelude::*;
+use refinement::Fineness;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -182,12 +183,14 @@ impl Layout<'_> {
         geometries: &'b [Geometry<'b>],
         sources: &'b [Source<'b>],
     ) -> Vec<refinement::Demand<'b>> {
-        let asked = self.settings.refine_edge.map(f64::from);
-        let target = asked.unwrap_or_else(|| refinement::default_edge(self.diagonal()));
+        let fineness = |scale: f64| match self.settings.refine_edge {
+            Some(edge) => Fineness::Asked(f64::from(edge) / scale),
+            None => Fineness::Default(refinement::default_edge(self.diagonal()) / scale),
+        };
         let all = geometries.iter().zip(sources);
         all.map(|(geometry, source)| match source {
             Source::Mesh(mesh) if mesh.scheme != Scheme::None => {
-                refinement::Demand::Refined(mesh, target / self.scale_of(geometry))
+                refinement::Demand::Refined(mesh, fineness(self.scale_of(geometry)))
             }
             _ => refinement::Demand::None,
         })

@@ -1,7 +1,8 @@
 //! How often every subdivision mesh is refined.
 //!
 //! Wanted: refined edges no longer than asked, at most [`MAX_LEVEL`] levels, and enough of them for the sharpest finite
-//! crease. A cage whose edges are short enough is not refined at all: its faces carry limit positions and normals, if
+//! crease. Where no edge is asked for, facets that lie close to the surface need not have short edges too ([`Fineness`]).
+//! A cage that is fine enough is not refined at all: its faces carry limit positions and normals, if
 //! they are what the scheme refines into (quads, or triangles for Loop). Where the scene's sum goes beyond
 //! [`FACE_BUDGET`] the asked edge is doubled until it fits or every mesh is at its least level; creases are followed
 //! only as far as a mesh alone stays in the budget.
@@ -9,6 +10,7 @@
 use super::authored::{AuthoredMesh, Scheme};
 use super::subdivision::sharpness_levels;
 use crate::diagnostics::Diagnostics;
+use glam::DVec3;
 
 /// Most levels: 256 faces for each of the cage.
 const MAX_LEVEL: usize = 4;
@@ -19,12 +21,50 @@ const FACE_BUDGET: u64 = 1_000_000;
 /// that the scene fills.
 const DEFAULT_EDGE: f64 = 1.0 / 250.0;
 
+/// Facets may lie this deep below the surface: a part of the default edge, and of the mesh's own diagonal.
+const DEPTH: (f64, f64) = (1.0 / 8.0, 1e-3);
+/// Longest edge in the mesh's own diagonal that is trusted to show how a flat piece's outline bends: one on a circle is
+/// then no deeper than [`DEPTH`] says.
+const OUTLINE_EDGE: f64 = 1.0 / 16.0;
+
 /// What a geometry asks for.
 pub(super) enum Demand<'a> {
     /// Not subdivided.
     None,
-    /// Refined until edges are no longer than this, object space.
-    Refined(&'a AuthoredMesh<'a>, f64),
+    /// Refined as far as that says.
+    Refined(&'a AuthoredMesh<'a>, Fineness),
+}
+
+/// When a level is fine enough; object space.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Fineness {
+    /// Edges are no longer than this.
+    Asked(f64),
+    /// Edges are no longer than this (the default edge), or facets no deeper than [`DEPTH`].
+    Default(f64),
+}
+
+impl Fineness {
+    fn is_reached(self, shape: Shape, level: usize) -> bool {
+        let halvings = f64::from(1_u32 << level);
+        let edge = shape.longest_edge / halvings;
+        match self {
+            Self::Asked(longest) => edge <= longest,
+            Self::Default(longest) => {
+                let (of_edge, of_size) = DEPTH;
+                let depth = shape.depth / (halvings * halvings);
+                edge <= longest
+                    || (edge <= OUTLINE_EDGE * shape.size
+                        && depth <= (of_edge * longest).min(of_size * shape.size))
+            }
+        }
+    }
+
+    fn levels(self, shape: Shape) -> usize {
+        (0..MAX_LEVEL)
+            .find(|&level| self.is_reached(shape, level))
+            .unwrap_or(MAX_LEVEL)
+    }
 }
 
 /// The edge length asked for when the user asks for none, in a scene of this diagonal; world space.
@@ -38,7 +78,7 @@ pub(super) fn levels(demands: &[Demand], diagnostics: &Diagnostics) -> Vec<usize
         .iter()
         .map(|demand| match demand {
             Demand::None => None,
-            Demand::Refined(mesh, edge) => Some(Plan::of(mesh, *edge, diagnostics)),
+            Demand::Refined(mesh, fineness) => Some(Plan::of(mesh, *fineness, diagnostics)),
         })
         .collect();
     let level = |plan: &Option<Plan>, coarser: usize| plan.as_ref().map_or(0, |p| p.level(coarser));
@@ -61,13 +101,13 @@ struct Plan {
 }
 
 impl Plan {
-    fn of(mesh: &AuthoredMesh, edge: f64, diagnostics: &Diagnostics) -> Self {
+    fn of(mesh: &AuthoredMesh, fineness: Fineness, diagnostics: &Diagnostics) -> Self {
         let first_faces = match mesh.scheme {
             Scheme::Loop => 4 * mesh.topology.counts.len() as u64,
             _ => mesh.topology.indices.len() as u64,
         };
         let mut plan = Self {
-            wanted: levels_for(longest_edge(mesh) / edge),
+            wanted: fineness.levels(Shape::of(mesh)),
             least: least_level(mesh),
             cage_faces: mesh.topology.counts.len() as u64,
             first_faces,
@@ -109,25 +149,58 @@ fn least_level(mesh: &AuthoredMesh) -> usize {
     usize::from(!is_plain)
 }
 
-/// Halvings until `ratio` is at most 1; none where it is not a number (a mesh without size).
-fn levels_for(ratio: f64) -> usize {
-    let is_long = |level: usize| ratio / f64::from(1_u32 << level) > 1.0;
-    (0..MAX_LEVEL)
-        .find(|&level| !is_long(level))
-        .unwrap_or(MAX_LEVEL)
+/// How large and how bent a cage is, object space.
+#[derive(Debug, Clone, Copy)]
+struct Shape {
+    /// Diagonal of its box.
+    size: f64,
+    longest_edge: f64,
+    /// Estimate of how deep its deepest facet lies below a smooth surface through its points: a quarter of an edge
+    /// times the distance between the unit normals of face and point, which on a circle is the arc's height. It
+    /// quarters with every level.
+    depth: f64,
 }
 
-fn longest_edge(mesh: &AuthoredMesh) -> f64 {
-    let topology = &mesh.topology;
-    let longest = topology.drawn().flat_map(|face| {
-        let points = topology.points_of(face);
-        let following = points.iter().cycle().skip(1);
-        points.iter().zip(following).map(|(&a, &b)| {
-            let [a, b] = [a, b].map(|i| mesh.points[i as usize].as_dvec3());
-            a.distance_squared(b)
-        })
-    });
-    longest.fold(0.0, f64::max).sqrt()
+impl Shape {
+    fn of(mesh: &AuthoredMesh) -> Self {
+        let topology = &mesh.topology;
+        let at = |point: u32| mesh.points[point as usize].as_dvec3();
+        let normal_of = |face: usize| {
+            let points = topology.points_of(face);
+            let fan = points.windows(2).skip(1);
+            let first = at(points[0]);
+            fan.map(|pair| (at(pair[0]) - first).cross(at(pair[1]) - first))
+                .sum::<DVec3>()
+        };
+        let mut point_normals = vec![DVec3::ZERO; mesh.points.len()];
+        let mut bounds = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for face in topology.drawn() {
+            let normal = normal_of(face);
+            for &point in topology.points_of(face) {
+                point_normals[point as usize] += normal;
+                bounds = (bounds.0.min(at(point)), bounds.1.max(at(point)));
+            }
+        }
+        let mut shape = Self {
+            size: (bounds.1 - bounds.0).length(),
+            longest_edge: 0.0,
+            depth: 0.0,
+        };
+        for face in topology.drawn() {
+            let points = topology.points_of(face);
+            let normal = normal_of(face).normalize_or_zero();
+            for (&a, &b) in points.iter().zip(points.iter().cycle().skip(1)) {
+                let edge = at(a).distance(at(b));
+                let turn = [a, b].map(|point| {
+                    let of_point = point_normals[point as usize].normalize_or_zero();
+                    normal.distance(of_point)
+                });
+                shape.longest_edge = shape.longest_edge.max(edge);
+                shape.depth = shape.depth.max(0.25 * edge * turn[0].max(turn[1]));
+            }
+        }
+        shape
+    }
 }
 
 #[cfg(test)]
@@ -157,7 +230,7 @@ mod tests {
         let authored = authored.unwrap().unwrap();
         let demands: Vec<Demand> = edges
             .iter()
-            .map(|&edge| Demand::Refined(&authored, edge))
+            .map(|&edge| Demand::Refined(&authored, Fineness::Asked(edge)))
             .collect();
         (levels(&demands, &diagnostics), diagnostics.warnings().len())
     }
@@ -209,6 +282,55 @@ mod tests {
         assert_eq!(level(&scheme("catmullClark"), &[9.0]).0, [1]);
         assert_eq!(level(&scheme("bilinear"), &[9.0]).0, [1]);
         assert_eq!(level(&scheme("loop"), &[9.0]).0, [0]);
+    }
+
+    /// A tube of radius 1 and `around` square-ish faces a ring: the arc's height is 1 − cos(π / around).
+    fn tube(around: u16) -> RawPrim {
+        let rows = 0..=around;
+        let points: Vec<Vec3> = rows
+            .flat_map(|row| (0..around).map(move |i| (row, i)))
+            .map(|(row, i)| {
+                let turn = std::f32::consts::TAU / f32::from(around);
+                let (sine, cosine) = (turn * f32::from(i)).sin_cos();
+                Vec3::new(cosine, sine, turn * f32::from(row))
+            })
+            .collect();
+        let n = i32::from(around);
+        let quads = (0..n).flat_map(|row| (0..n).map(move |i| (row * n, i)));
+        let indices: Vec<i32> = quads
+            .flat_map(|(row, i)| [i, (i + 1) % n, (i + 1) % n + n, i + n].map(|k| row + k))
+            .collect();
+        let prim = mesh("/m", &points, &vec![4; indices.len() / 4], &indices);
+        with_token(prim, "subdivisionScheme", "catmullClark")
+    }
+
+    #[test]
+    fn facets_close_to_the_surface_may_have_long_edges_unless_asked() {
+        for (around, expected) in [(100, 0), (60, 0), (24, 1), (8, 3)] {
+            let prim = tube(around);
+            let diagnostics = Diagnostics::default();
+            let authored = AuthoredMesh::read(&prim, &[], &[], &diagnostics);
+            let authored = authored.unwrap().unwrap();
+            let shape = Shape::of(&authored);
+            let height = 1.0 - (std::f64::consts::PI / f64::from(around)).cos();
+            assert!(
+                (shape.depth / height - 1.0).abs() < 0.06,
+                "{shape:?} for {height}"
+            );
+            // The default edge of a scene that the tube fills.
+            let edge = default_edge(shape.size);
+            let demand = [Demand::Refined(&authored, Fineness::Default(edge))];
+            assert_eq!(
+                levels(&demand, &diagnostics),
+                [expected],
+                "{around}: {shape:?}"
+            );
+            let demand = [Demand::Refined(
+                &authored,
+                Fineness::Asked(0.9 * shape.longest_edge),
+            )];
+            assert_eq!(levels(&demand, &diagnostics), [1]);
+        }
     }
 
     #[test]
