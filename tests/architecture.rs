@@ -137,6 +137,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("opensubdiv_rs", &["stage"]),
     ("exr", &["image", "writers"]),
     ("image", &["image", "writers"]),
+    ("fearless_simd", &["trace"]),
     ("clap", &["cli"]),
     ("indicatif", &["cli"]),
     ("ctrlc", &["cli"]),

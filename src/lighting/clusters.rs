@@ -15,6 +15,8 @@ use glam::{DVec3, Vec2, Vec3};
 
 /// A cluster's radius over its distance below which it counts as a point: the error of that is of second order.
 const POINT_LIKE: f32 = 0.05;
+/// A triangle's radius over its distance below which three points stand for it: exact to third order.
+const THREE_POINTS: f32 = 0.25;
 /// Most triangles of a cluster that is not divided.
 const LEAF_SIZE: usize = 8;
 /// So many clusters are looked at for one receiver; those left then are taken as they are, roughly.
@@ -327,6 +329,15 @@ impl Source {
         }
         if height >= self.radius && self.radius * self.radius < POINT_LIKE * POINT_LIKE * squared {
             return towards * height / (squared * squared);
+        }
+        if self.radius * self.radius < THREE_POINTS * THREE_POINTS * squared {
+            // all points of a triangle have the same distance from its plane, the receiver's
+            let at = |corner: usize| {
+                let offset = 0.5 * (offset + self.corners[corner] - origin);
+                let squared = offset.length_squared();
+                normal.dot(offset).max(0.0) / (squared * squared)
+            };
+            return towards * (at(0) + at(1) + at(2)) / 3.0;
         }
         let [a, b, c] = self.corners.map(|corner| (corner - origin).as_dvec3());
         let plane_normal = (b - a).cross(c - a).normalize_or_zero();

@@ -1,7 +1,9 @@
 //! Rays against a scene: closest hits and occlusion, two-level where meshes are shared.
 //!
 //! Prims that own their mesh are in one hierarchy in world space; a shared mesh has one in its object space, under a
-//! top level over its occurrences. Both levels are the same eight-way tree, [`wide`].
+//! top level over its occurrences. Both levels are the same eight-way tree, [`wide`]. Boxes and triangles are plain loops
+//! over lanes; the whole search is compiled once for every instruction set and the widest one that the machine has is
+//! taken. No operation is fused or reordered, so that the results are the same bits on all of them.
 
 mod ray;
 mod triangles;
@@ -9,6 +11,7 @@ mod wide;
 
 use crate::math::Bounds3;
 use crate::scene::{Mesh, PrimId, Scene};
+use fearless_simd::{Level, dispatch};
 use glam::{Affine3A, Vec3};
 use ray::Ray;
 use rayon::prelude::*;
@@ -44,6 +47,8 @@ pub struct Tracer {
     top: Wide,
     /// Largest coordinate of the scene, absolute.
     magnitude: f32,
+    /// Instructions of this machine.
+    level: Level,
 }
 
 /// Several prims in one hierarchy.
@@ -101,12 +106,19 @@ impl Tracer {
             occurrences,
             top,
             magnitude,
+            level: Level::new(),
         }
     }
 
     /// First hit along the unit `direction` with distance in (0, `max_distance`). None if a number is not finite
     /// (`max_distance` may be infinite).
     pub fn closest(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Hit> {
+        dispatch!(self.level, _simd => self.find_closest(origin, direction, max_distance))
+    }
+
+    /// The scalar definition of [`Self::closest`].
+    #[inline(always)]
+    fn find_closest(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Hit> {
         let mut ray = Ray::new(origin, direction, max_distance)?;
         let mut best = self.world.closest(&mut ray);
         self.top.traverse(&mut ray, |block, ray| {
@@ -133,6 +145,12 @@ impl Tracer {
 
     /// True if anything lies along the unit `direction` closer than `max_distance`.
     pub fn occluded(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> bool {
+        dispatch!(self.level, _simd => self.find_any(origin, direction, max_distance))
+    }
+
+    /// The scalar definition of [`Self::occluded`].
+    #[inline(always)]
+    fn find_any(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> bool {
         let Some(mut ray) = Ray::new(origin, direction, max_distance) else {
             return false;
         };
@@ -172,6 +190,7 @@ impl Tracer {
             + self.top.bytes()
     }
 
+    #[inline(always)]
     fn block(&self, block: usize) -> impl Iterator<Item = &Occurrence> {
         let first = block * LEAF_SIZE;
         (self.top.order[first..first + LEAF_SIZE].iter())
@@ -195,6 +214,7 @@ impl Group {
         }
     }
 
+    #[inline(always)]
     fn closest(&self, ray: &mut Ray) -> Option<Hit> {
         let hit = self.triangles.closest(ray)?;
         let after = self
@@ -214,6 +234,7 @@ impl Group {
 
 impl Occurrence {
     /// The ray in object space; the direction keeps its image's length, so that distances stay world distances.
+    #[inline(always)]
     fn local(&self, ray: &Ray) -> Option<Ray> {
         Ray::new(
             self.object_from_world.transform_point3(ray.origin),

@@ -25,6 +25,7 @@ const LEAST_COMPONENT: f32 = 1e-18;
 
 impl Ray {
     /// `None` if a number is not finite, the direction is zero, or no distance is left (`max_distance` may be infinite).
+    #[inline(always)]
     pub(super) fn new(origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Self> {
         let longest = direction.abs().max_element();
         let is_valid = origin.is_finite() && direction.is_finite() && longest > 0.0;

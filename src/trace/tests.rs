@@ -370,3 +370,32 @@ fn measure_rays_per_second() {
         );
     }
 }
+
+#[test]
+fn every_instruction_set_gives_the_bits_of_the_scalar_definition() {
+    let mut random = Random(77);
+    let triangles: Vec<_> = (0..3000)
+        .map(|_| {
+            let center = random.vector();
+            [(); 3].map(|()| center + 0.1 * random.vector())
+        })
+        .collect();
+    let shared = Affine3A::from_rotation_y(0.3) * Affine3A::from_scale(Vec3::new(1.0, -2.0, 0.5));
+    let scene = scene(
+        vec![mesh(&triangles)],
+        &[(0, Affine3A::IDENTITY), (0, shared)],
+    );
+    let owned = single(&triangles);
+    for tracer in [&owned, &Tracer::new(&scene)] {
+        let mut hits = 0;
+        for _ in 0..2000 {
+            let (origin, direction) = (1.5 * random.vector(), random.direction());
+            let hit = tracer.closest(origin, direction, f32::INFINITY);
+            assert_eq!(hit, tracer.find_closest(origin, direction, f32::INFINITY));
+            let any = tracer.occluded(origin, direction, 1.0);
+            assert_eq!(any, tracer.find_any(origin, direction, 1.0));
+            hits += usize::from(hit.is_some());
+        }
+        assert!(hits > 500);
+    }
+}

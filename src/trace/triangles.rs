@@ -72,7 +72,7 @@ impl Triangles {
     }
 
     /// The nearest hit closer than the ray's limit.
-    #[inline]
+    #[inline(always)]
     pub(super) fn closest(&self, ray: &mut Ray) -> Option<LocalHit> {
         let mut best = None;
         self.tree.traverse(ray, |block, ray| {
@@ -87,7 +87,7 @@ impl Triangles {
     }
 
     /// True if anything is hit closer than the ray's limit.
-    #[inline]
+    #[inline(always)]
     pub(super) fn occluded(&self, ray: &mut Ray) -> bool {
         let mut hit = false;
         self.tree.traverse(ray, |block, ray| {
@@ -128,7 +128,7 @@ impl Block {
         Self { corners }
     }
 
-    #[inline]
+    #[inline(always)]
     fn intersect(&self, ray: &Ray) -> Lanes {
         let [kx, ky, kz] = ray.axes;
         let [sx, sy, sz] = ray.shear;
@@ -167,7 +167,7 @@ impl Block {
         lanes
     }
 
-    #[inline]
+    #[inline(always)]
     fn closest(&self, ray: &Ray) -> Option<(LocalHit, usize)> {
         let lanes = self.intersect(ray);
         let mut best: Option<usize> = None;

@@ -89,7 +89,7 @@ impl Wide {
 
     /// Calls `leaf(block, ray)` for the leaves that `ray` may meet, nearest boxes first; `block * LEAF_SIZE` is the
     /// leaf's place in `order`. `leaf` may shorten `ray.max_distance`; it returns true to end the search.
-    #[inline]
+    #[inline(always)]
     pub(super) fn traverse(&self, ray: &mut Ray, mut leaf: impl FnMut(usize, &mut Ray) -> bool) {
         if self.nodes.is_empty() {
             return;
@@ -127,7 +127,7 @@ impl Wide {
 }
 
 impl Node {
-    #[inline]
+    #[inline(always)]
     fn intersect(&self, ray: &Ray) -> ([f32; WIDTH], [bool; WIDTH]) {
         let mut near = [0.0_f32; WIDTH];
         let mut far = [ray.max_distance; WIDTH];
