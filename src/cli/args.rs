@@ -224,7 +224,7 @@ pub(super) struct VerifyArgs {
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=65_536))]
     pub(super) receivers: u32,
     /// Rays of each of the truth's two halves.
-    #[arg(long, value_name = "N", default_value_t = 16_384, value_parser = clap::value_parser!(u32).range(256..=1_048_576))]
+    #[arg(long, value_name = "N", default_value_t = 8192, value_parser = clap::value_parser!(u32).range(256..=1_048_576))]
     pub(super) truth_rays: u32,
 }
 

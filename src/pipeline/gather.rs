@@ -13,6 +13,7 @@ use crate::gather::{
     self, Engine, GatherScene, LoadedCloud, RadianceSource, RaysEngine, RaysFactory, RaysSettings,
     Reference,
 };
+use crate::lighting::{LightSamples, Lighting};
 use crate::octree::Octree;
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
@@ -268,17 +269,18 @@ pub(super) fn light(
     Ok(Light::Baked(Box::new(Baked { cloud, ..baked })))
 }
 
-/// Dice and light the world.
+/// Dice and light the world, with fewer light samples than receivers get: errors of many surfels average out.
 pub(super) fn dice(
     world: &World<'_>,
     settings: &BakeSettings,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Baked, Error> {
     let baked = timed(&mut report.seconds.points, || {
+        let lighting = Lighting::new(world.shader, LightSamples::SURFEL, diagnostics);
         bake::bake(
             world.shader,
             &world.tracer,
-            &world.lighting,
+            &lighting,
             settings,
             diagnostics,
         )

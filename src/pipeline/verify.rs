@@ -2,7 +2,7 @@
 
 use super::choice::{self, PAPER_KNOBS, paper_knobs};
 use super::gather::{Light, Stand, light};
-use super::job::{GatherJob, VerifyJob};
+use super::job::VerifyJob;
 use super::report::Report;
 use super::view::camera;
 use super::world::{Needs, World, with_world};
@@ -28,10 +28,10 @@ use std::time::Instant;
 const TOLERANCES: [f64; 3] = [0.05, 0.02, 0.01];
 
 /// Rays a receiver that are swept.
-const RAYS: [u32; 6] = [16, 64, 256, 1024, 4096, 16_384];
+const RAYS: [u32; 5] = [16, 64, 256, 1024, 4096];
 
 /// Knobs of the paper's engine that are swept besides those that `auto` knows.
-const MORE_PAPER_KNOBS: [(f32, u32); 2] = [(0.3, 6), (0.003, 32)];
+const MORE_PAPER_KNOBS: [(f32, u32); 1] = [(0.3, 6)];
 
 /// Pixels across of the camera's set and pictures; the height follows the aperture.
 const PICTURE_WIDTH: u32 = 64;
@@ -74,30 +74,32 @@ fn sweep(
     job: &VerifyJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<VerifyReport, Error> {
-    let populations = populations(world, job)?;
-    let largest = populations.iter().map(|(_, all)| all.len()).max();
-    let placed = &populations[0].1;
-    let mut gather = job.gather.clone();
-    gather.surfels = gather.surfels.or(largest);
+    let mut populations = populations(world, job)?;
+    let placed = populations[0].1.clone();
     let indirect = [Aov::IrradianceIndirect];
-    let lit = light(world, placed, &indirect, &gather, (report, diagnostics))?;
-    let mut populations = populations;
+    let lit = light(
+        world,
+        &placed,
+        &indirect,
+        &job.gather,
+        (report, diagnostics),
+    )?;
     if let Light::Baked(baked) = &lit {
         populations.push(("surfels", receivers::surfel::place(&baked.cloud)));
     }
     let mut found = empty(job, world, lit.len());
     let finer = Lighting::new(world.shader, truth_samples(), diagnostics);
     let asked = asked(world);
+    let arena = Arena {
+        world,
+        job,
+        lit: &lit,
+        surfels: &Stand::new(world, &lit, &placed, &indirect, &job.gather),
+        finer: &finer,
+    };
     let phase = diagnostics.phase("verify", "sets", (asked.len() * populations.len()) as u64);
     for &aov in &asked {
         for (name, all) in &populations {
-            let arena = Arena {
-                world,
-                job,
-                gather: &gather,
-                lit: &lit,
-                finer: &finer,
-            };
             arena.run((name, all), aov, &mut found, diagnostics)?;
             phase.advance(1);
         }
@@ -181,8 +183,9 @@ fn picture_height(aspect: f64) -> u32 {
 struct Arena<'a> {
     world: &'a World<'a>,
     job: &'a VerifyJob,
-    gather: &'a GatherJob,
     lit: &'a Light,
+    /// For the octree, which all share.
+    surfels: &'a Stand<'a>,
     finer: &'a Lighting,
 }
 
@@ -200,9 +203,8 @@ impl Arena<'_> {
         // Rays that need not know what they hit are faster: visibility is measured as occlusion bakes compute it.
         let dark = !aov.needs_indirect();
         let light = if dark { &none } else { self.lit };
-        let stand = Stand::new(self.world, light, all, &aovs, self.gather);
-        let surfels = Stand::new(self.world, self.lit, all, &aovs, self.gather);
-        let mut question = self.question(aov, &stand, &surfels);
+        let stand = Stand::new(self.world, light, all, &aovs, &self.job.gather);
+        let mut question = self.question(aov, &stand);
         for tolerance in TOLERANCES {
             question
                 .subjects
@@ -223,12 +225,7 @@ impl Arena<'_> {
         Ok(())
     }
 
-    fn question<'s>(
-        &'s self,
-        aov: Aov,
-        stand: &'s Stand<'_>,
-        surfels: &'s Stand<'_>,
-    ) -> Question<'s> {
+    fn question<'s>(&'s self, aov: Aov, stand: &'s Stand<'_>) -> Question<'s> {
         let half = |turn: f32| {
             let settings = RaysSettings {
                 turn,
@@ -248,7 +245,7 @@ impl Arena<'_> {
             .map(|&knobs| Subject {
                 engine: "paper",
                 knobs: paper_knobs(knobs),
-                method: Box::new(surfels.paper(knobs)) as Box<dyn Method + 's>,
+                method: Box::new(self.surfels.paper(knobs)) as Box<dyn Method + 's>,
                 auto: None,
             });
         Question {
@@ -299,7 +296,7 @@ fn auto<'s>(
 }
 
 /// Rays of the truth of a whole picture, at most: it is there to look at.
-const PICTURE_RAYS: u32 = 4096;
+const PICTURE_RAYS: u32 = 2048;
 
 /// Error at full color, at least, and at most.
 const SCALES: (f64, f64) = (0.01, 0.2);
