@@ -56,11 +56,7 @@ pub(super) fn find(mesh: &Mesh, occluder: &Occluder) -> Option<Flat> {
         return None;
     }
     let corners = hull(mesh, (start, direction), &place)?;
-    let twice_area: f64 = mesh
-        .triangles
-        .iter()
-        .map(|t| area_vector(t).length())
-        .sum();
+    let twice_area: f64 = mesh.triangles.iter().map(|t| area_vector(t).length()).sum();
     let fan: f64 = (2..corners.len())
         .map(|k| (corners[k - 1] - corners[0]).cross(corners[k] - corners[0]))
         .map(|v| f64::from(v.length()))

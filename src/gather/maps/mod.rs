@@ -16,6 +16,8 @@ mod decimate;
 mod flat;
 mod handover;
 mod look;
+#[cfg(test)]
+mod plain;
 mod plan;
 mod raster;
 mod results;
@@ -32,6 +34,7 @@ use crate::receivers::Receivers;
 use axes::Axis;
 use crowd::Crowd;
 use decimate::Shell;
+use fearless_simd::Level;
 use glam::Vec3;
 use look::{Rules, View};
 use raster::{DepthMap, MOST_PIXELS, Piece};
@@ -156,15 +159,19 @@ pub fn visibility(
         flat_margin: Rules::flat_margin(plan.radius),
         weighted_channels: channels.weighted,
     };
+    let level = Level::new();
     for batch in axes::axes(count).chunks(stage.axes_at_once()) {
         diagnostics.check()?;
         let views: Vec<View> = batch
             .par_iter()
             .map(|axis| stage.view(plan, axis, wanted))
             .collect();
-        (crowd.blocks.par_chunks(BLOCKS), crowd.sums.par_chunks_mut(BLOCKS))
+        (
+            crowd.blocks.par_chunks(BLOCKS),
+            crowd.sums.par_chunks_mut(BLOCKS),
+        )
             .into_par_iter()
-            .for_each(|(blocks, sums)| wide::look(&views, &rules, blocks, sums));
+            .for_each(|(blocks, sums)| wide::look(level, (&views, &rules), blocks, sums));
         phase.advance(batch.len() as u64);
     }
     let mut visibility = channels.read(&crowd, wanted, count);
@@ -198,14 +205,21 @@ impl<'a> Stage<'a> {
     fn axes_at_once(&self) -> usize {
         let bytes: f32 = self.classes.iter().map(DrawnClass::map_bytes).sum();
         let fit = MAP_BYTES as f32 / bytes.max(1.0);
-        (1..MOST_AXES).rev().find(|&n| (n as f32) < fit).unwrap_or(1)
+        (1..MOST_AXES)
+            .rev()
+            .find(|&n| (n as f32) < fit)
+            .unwrap_or(1)
     }
 
     fn view(&self, plan: &MapsPlan<'_>, axis: &Axis, wanted: &Wanted<'_>) -> View {
         View {
             axis: *axis,
             maps: self.classes.iter().map(|class| class.draw(axis)).collect(),
-            flats: plan.flats.iter().filter_map(|flat| flat.view(axis)).collect(),
+            flats: plan
+                .flats
+                .iter()
+                .filter_map(|flat| flat.view(axis))
+                .collect(),
             channels: [axis.direction, -axis.direction]
                 .map(|direction| Channels::values(wanted, direction)),
         }

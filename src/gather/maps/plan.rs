@@ -110,8 +110,7 @@ impl<'a> MapsPlan<'a> {
     }
 
     pub(super) fn mesh(&self, occluder: &Occluder) -> &'a Mesh {
-        self.scene
-            .mesh_of(&self.scene.prims[occluder.prim.index()])
+        self.scene.mesh_of(&self.scene.prims[occluder.prim.index()])
     }
 }
 
@@ -168,12 +167,8 @@ fn classify(scene: &Scene, mut occluders: Vec<Occluder>) -> Vec<Class> {
         }
     }
     let class = |occluders: Vec<Occluder>| {
-        let triangles = |o: &Occluder| {
-            scene
-                .mesh_of(&scene.prims[o.prim.index()])
-                .triangles
-                .len() as f32
-        };
+        let triangles =
+            |o: &Occluder| scene.mesh_of(&scene.prims[o.prim.index()]).triangles.len() as f32;
         let count: f32 = occluders.iter().map(triangles).sum();
         let sum: f32 = occluders.iter().map(|o| o.edge * triangles(o)).sum();
         let bounds = occluders
@@ -190,9 +185,7 @@ fn classify(scene: &Scene, mut occluders: Vec<Occluder>) -> Vec<Class> {
 
 /// Bounds of the transformed box of a prim.
 fn bounds_of(scene: &Scene, occluder: &Occluder) -> Bounds3 {
-    let local = scene
-        .mesh_of(&scene.prims[occluder.prim.index()])
-        .bounds();
+    let local = scene.mesh_of(&scene.prims[occluder.prim.index()]).bounds();
     let half = (local.max - local.min).as_dvec3() * 0.5;
     let matrix = occluder.local_from_object.matrix3;
     let center = occluder

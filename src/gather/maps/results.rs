@@ -41,9 +41,8 @@ pub fn gather(
     (receivers, aovs): (&Receivers, &[Aov]),
     diagnostics: &Diagnostics,
 ) -> Result<Results, Cancelled> {
-    let (own, rest): (Vec<Aov>, Vec<Aov>) = aovs
-        .iter()
-        .partition(|&&aov| supports(aov, scene.lighting));
+    let (own, rest): (Vec<Aov>, Vec<Aov>) =
+        aovs.iter().partition(|&&aov| supports(aov, scene.lighting));
     let mut found = if rest.is_empty() {
         Results::default()
     } else {

@@ -1,0 +1,203 @@
+//! What maps cost and how far off they are, against rays on the same scene in one run. Ignored: minutes.
+//!
+//! `RAYON_NUM_THREADS=1 cargo test --test maps_speed -- --ignored --nocapture`
+
+#[path = "support/dense.rs"]
+mod dense;
+#[path = "support/scenes.rs"]
+mod scenes;
+
+use surflux::gather::maps::{MapsPlan, MapsSettings, Wanted, visibility};
+use surflux::gather::quantities::occlusion;
+use surflux::gather::{Engine, Hemisphere, RaysEngine, RaysSettings};
+use surflux::receivers::Receivers;
+use surflux::scene::Scene;
+use surflux::trace::Tracer;
+
+fn by_rays(tracer: &Tracer, receivers: &Receivers, rays: u32) -> Vec<f32> {
+    use rayon::prelude::*;
+    let settings = RaysSettings {
+        rays,
+        turn: 0.3,
+        ..RaysSettings::default()
+    };
+    let engine = RaysEngine::new(tracer, None, settings);
+    (0..receivers.len())
+        .into_par_iter()
+        .map_init(Hemisphere::default, |scratch, i| {
+            let mut value = 0.0;
+            engine.see(receivers, i..i + 1, scratch, &mut |_, seen| {
+                value = occlusion::visibility(seen)
+            });
+            value
+        })
+        .collect()
+}
+
+/// Seconds of processor time of this process: the machine is shared.
+fn cpu() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").expect("Linux");
+    let after = stat.rsplit(')').next().expect("fields");
+    let ticks = |k: usize| {
+        after
+            .split_whitespace()
+            .nth(k)
+            .and_then(|t| t.parse::<f64>().ok())
+            .expect("ticks")
+    };
+    (ticks(11) + ticks(12)) / 100.0
+}
+
+struct Errors {
+    rmse: f64,
+    bias: f64,
+    p99: f64,
+}
+
+fn errors(values: &[f32], truth: &[f32]) -> Errors {
+    let n = truth.len() as f64;
+    let mean = truth.iter().map(|&t| f64::from(t)).sum::<f64>() / n;
+    let diffs: Vec<f64> = values
+        .iter()
+        .zip(truth)
+        .map(|(&v, &t)| f64::from(v) - f64::from(t))
+        .collect();
+    let mut shares: Vec<f64> = diffs
+        .iter()
+        .zip(truth)
+        .map(|(d, &t)| d.abs() / f64::from(t).max(0.1 * mean))
+        .collect();
+    shares.sort_by(f64::total_cmp);
+    Errors {
+        rmse: (diffs.iter().map(|d| d * d).sum::<f64>() / n).sqrt() / mean,
+        bias: diffs.iter().sum::<f64>() / n / mean,
+        p99: shares[shares.len() * 99 / 100],
+    }
+}
+
+fn measure(name: &str, scene: &Scene, settings: &[MapsSettings]) {
+    let receivers = dense::vertices(scene);
+    let count = receivers.len();
+    let start = cpu();
+    let tracer = Tracer::new(scene);
+    let build = (cpu() - start);
+    let picked: Vec<usize> = (0..400)
+        .map(|k| (k * 2_654_435_761_usize) % count)
+        .collect();
+    let few = receivers.subset(&picked);
+    let truth = by_rays(&tracer, &few, 8192);
+    let micro = 1e6 / count as f64;
+    println!(
+        "{name}: {count} vertices, {} triangles, build {:.2} us/v",
+        scene.triangle_count(),
+        build * micro
+    );
+    let mut law: Vec<(f64, f64)> = Vec::new();
+    for rays in [16, 64, 256] {
+        let e = errors(&by_rays(&tracer, &few, rays), &truth);
+        let step = (count * rays as usize / 2_000_000).max(1);
+        let timed = receivers.subset(&(0..count).step_by(step).collect::<Vec<_>>());
+        let start = cpu();
+        by_rays(&tracer, &timed, rays);
+        let us = build * micro + (cpu() - start) * 1e6 / timed.len() as f64;
+        println!(
+            "  rays {rays:4}: {us:7.2} us/v  {:6.2} % bias {:+.2} p99 {:.1}",
+            100.0 * e.rmse,
+            100.0 * e.bias,
+            100.0 * e.p99
+        );
+        law.push((e.rmse.ln(), us.ln()));
+    }
+    for s in settings {
+        let start = cpu();
+        let plan = MapsPlan::new(scene);
+        let seen = visibility(&plan, &receivers, s, &Wanted::default(), &dense::quiet())
+            .expect("not cancelled");
+        let us = (cpu() - start) * micro;
+        let pick = |v: &[f32]| picked.iter().map(|&i| v[i]).collect::<Vec<_>>();
+        let e = errors(&pick(&seen.visibility), &truth);
+        let flagged: Vec<usize> = (0..picked.len())
+            .filter(|&k| seen.ambiguous[picked[k]])
+            .collect();
+        let mut fixed = pick(&seen.visibility);
+        flagged.iter().for_each(|&k| fixed[k] = truth[k]);
+        let with = errors(&fixed, &truth);
+        let all = seen.ambiguous.iter().filter(|&&a| a).count() as f64 / count as f64;
+        println!(
+            "  maps {:4} p {} c {} b {}: {us:7.2} us/v  {:6.2} % bias {:+.2} p99 {:.1}  {:.1}x | {:.1} % handed over: {:.2} % p99 {:.1}",
+            s.directions,
+            s.pixel,
+            s.cell,
+            s.bias,
+            100.0 * e.rmse,
+            100.0 * e.bias,
+            100.0 * e.p99,
+            interpolate(&law, e.rmse) / us,
+            100.0 * all,
+            100.0 * with.rmse,
+            100.0 * with.p99
+        );
+    }
+}
+
+/// Microseconds of rays at this error, log-log through the measured points.
+fn interpolate(law: &[(f64, f64)], error: f64) -> f64 {
+    let x = error.ln();
+    let k = (0..law.len() - 2)
+        .find(|&k| x > law[k + 1].0)
+        .unwrap_or(law.len() - 2);
+    let ((x0, y0), (x1, y1)) = (law[k], law[k + 1]);
+    (y0 + (y1 - y0) * (x - x0) / (x1 - x0)).exp()
+}
+
+fn grid(directions: &[u32], shapes: &[(f32, f32, f32)]) -> Vec<MapsSettings> {
+    shapes
+        .iter()
+        .flat_map(|&(pixel, cell, bias)| {
+            directions.iter().map(move |&directions| MapsSettings {
+                directions,
+                pixel,
+                cell,
+                bias,
+                ..MapsSettings::default()
+            })
+        })
+        .collect()
+}
+
+#[test]
+#[ignore = "a measurement, minutes"]
+fn dense() {
+    let scene = dense::on_ground(dense::bumpy_ball(204, glam::Vec3::ZERO), 64);
+    measure(
+        "bumpy ball on ground",
+        &scene,
+        &grid(
+            &[64, 128, 256],
+            &[(3.0, 3.0, 1.0), (2.0, 2.0, 1.0), (1.0, 0.0, 1.0)],
+        ),
+    );
+}
+
+#[test]
+#[ignore = "a measurement, minutes"]
+fn scans() {
+    for name in ["stanford-bunny", "nefertiti", "rocker-arm"] {
+        if let Some(mesh) = dense::shared_mesh(name) {
+            let scene = dense::on_ground(mesh, 32);
+            measure(
+                name,
+                &scene,
+                &grid(
+                    &[64, 256],
+                    &[
+                        (2.0, 2.0, 1.0),
+                        (1.0, 0.0, 1.0),
+                        (1.0, 0.0, 0.5),
+                        (0.5, 0.0, 0.5),
+                    ],
+                ),
+            );
+        }
+    }
+}
