@@ -4,6 +4,8 @@
 mod dense;
 #[path = "support/scenes.rs"]
 mod scenes;
+#[path = "support/maps_speed.rs"]
+mod speed;
 
 use glam::{Affine3A, Quat, Vec3};
 use scenes::{
@@ -12,6 +14,7 @@ use scenes::{
 use std::f32::consts::PI;
 use surflux::gather::maps::{self, MapsPlan, MapsSettings, Visibility, Wanted};
 use surflux::gather::{GatherScene, RaysEngine, RaysSettings, gather};
+use surflux::lighting::{LightSamples, Lighting};
 use surflux::math::Bounds3;
 use surflux::receivers::Receivers;
 use surflux::results::{Aov, Results};
@@ -323,4 +326,35 @@ fn receivers_on_open_edges_and_degenerate_triangles_do_no_harm() {
     let receivers = dense::vertices(&scene);
     let rim = receivers.subset(&(receivers.len() - 60..receivers.len()).collect::<Vec<_>>());
     assert!(visibility_error(&scene, &rim, &MapsSettings::default()) < 0.03);
+}
+
+#[test]
+fn a_uniform_sky_gives_pi_times_its_radiance_where_it_is_visible() {
+    let mut builder = SceneBuilder::new();
+    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+    builder.mesh("ball", dense::bumpy_ball(40, Vec3::ZERO), gray);
+    builder.sky(Vec3::new(1.0, 2.0, 0.0));
+    let scene = builder.build();
+    let receivers = every(&dense::vertices(&scene), 97);
+    let quiet = dense::quiet();
+    let shader = Shader::new(&scene, &quiet);
+    let tracer = Tracer::new(&scene);
+    let lighting = Lighting::new(&shader, LightSamples::default(), &quiet);
+    assert!(maps::supports(Aov::IrradianceEnvironment, Some(&lighting)));
+    assert!(!maps::supports(Aov::IrradianceIndirect, Some(&lighting)));
+    let with = GatherScene {
+        shader: &shader,
+        tracer: &tracer,
+        lighting: Some(&lighting),
+    };
+    let rays = RaysEngine::new(&tracer, None, RaysSettings::default());
+    let (plan, settings) = (MapsPlan::new(&scene), MapsSettings::default());
+    let aovs = [Aov::IrradianceEnvironment, Aov::Visibility];
+    let results = maps::gather(with, (&plan, &settings), &rays, (&receivers, &aovs), &quiet);
+    let results = results.expect("not cancelled");
+    let light = results.buffers[0].data.chunks_exact(3);
+    for (light, visible) in light.zip(&results.buffers[1].data) {
+        let expected = PI * visible * Vec3::new(1.0, 2.0, 0.0);
+        assert!((Vec3::from_slice(light) - expected).length() < 1e-4);
+    }
 }

@@ -4,7 +4,6 @@ use crate::scenes::{SceneBuilder, plate, triangle_mesh};
 use glam::Vec3;
 use std::path::PathBuf;
 use surflux::diagnostics::Diagnostics;
-use surflux::math::Bounds3;
 use surflux::receivers::{Receivers, primvar};
 use surflux::results::BakeInterpolation;
 use surflux::scene::{Mesh, PrimId, Scene};
@@ -61,7 +60,9 @@ fn cube_sphere(cells: u16) -> (Vec<Vec3>, Vec<[u32; 3]>) {
     (positions, triangles)
 }
 
+/// Shading normals for a mesh.
 pub(crate) trait Smooth {
+    /// With smooth normals.
     fn smooth(self) -> Self;
 }
 
@@ -153,9 +154,4 @@ pub(crate) fn vertices(scene: &Scene) -> Receivers {
 /// No progress, no cancelling.
 pub(crate) fn quiet() -> Diagnostics {
     Diagnostics::default()
-}
-
-/// A box around everything, grown.
-pub(crate) fn around(scene: &Scene) -> Bounds3 {
-    scene.bounds()
 }

@@ -59,6 +59,9 @@ pub struct MapsSettings {
     pub max_distance: Option<f32>,
     /// Share of uncertain verdicts, 0…1, above which a receiver is ambiguous.
     pub ambiguous: f32,
+    /// Share of a vertex' hemisphere that the faces around it cover, 0…1, above which it is ambiguous: creases finer
+    /// than a pixel.
+    pub crease: f32,
 }
 
 impl Default for MapsSettings {
@@ -70,6 +73,7 @@ impl Default for MapsSettings {
             bias: 0.5,
             max_distance: None,
             ambiguous: 0.25,
+            crease: 0.05,
         }
     }
 }
@@ -83,6 +87,7 @@ impl MapsSettings {
         bias: 1.0,
         max_distance: None,
         ambiguous: 0.25,
+        crease: 0.05,
     };
 }
 
@@ -205,7 +210,7 @@ impl<'a> Stage<'a> {
     fn axes_at_once(&self) -> usize {
         let bytes: f32 = self.classes.iter().map(DrawnClass::map_bytes).sum();
         let fit = MAP_BYTES as f32 / bytes.max(1.0);
-        (1..MOST_AXES)
+        (1..=MOST_AXES)
             .rev()
             .find(|&n| (n as f32) < fit)
             .unwrap_or(1)

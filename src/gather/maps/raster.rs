@@ -119,7 +119,7 @@ impl DepthMap {
                 along.dot(matrix.z_axis),
             );
             let constant = along.dot(piece.local_from_object.translation) + f64::from(offset);
-            (linear.as_vec3(), constant.as_f32())
+            (linear.as_vec3(), rounded(constant))
         };
         let x = row(axis.right, self.pixels, self.origin[0]);
         let y = row(axis.up, self.pixels, self.origin[1]);
@@ -170,16 +170,10 @@ impl DepthMap {
     }
 }
 
-/// Rounding to f32 of what was computed in f64.
-trait AsF32 {
-    fn as_f32(self) -> f32;
-}
-
-impl AsF32 for f64 {
-    #[expect(clippy::cast_possible_truncation, reason = "rounding is meant")]
-    fn as_f32(self) -> f32 {
-        self as f32
-    }
+/// What was computed in f64, rounded once.
+#[expect(clippy::cast_possible_truncation, reason = "rounding is meant")]
+fn rounded(x: f64) -> f32 {
+    x as f32
 }
 
 /// Tags of a prim's triangles.

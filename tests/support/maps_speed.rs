@@ -1,12 +1,8 @@
 //! What maps cost and how far off they are, against rays on the same scene in one run. Ignored: minutes.
 //!
-//! `RAYON_NUM_THREADS=1 cargo test --test maps_speed -- --ignored --nocapture`
+//! `RAYON_NUM_THREADS=1 cargo test --test maps -- --ignored --nocapture --test-threads=1`
 
-#[path = "support/dense.rs"]
-mod dense;
-#[path = "support/scenes.rs"]
-mod scenes;
-
+use crate::dense;
 use surflux::gather::maps::{MapsPlan, MapsSettings, Wanted, visibility};
 use surflux::gather::quantities::occlusion;
 use surflux::gather::{Engine, Hemisphere, RaysEngine, RaysSettings};
@@ -93,6 +89,7 @@ fn measure(name: &str, scene: &Scene, settings: &[MapsSettings]) {
         build * micro
     );
     let mut law: Vec<(f64, f64)> = Vec::new();
+    let mut ray = 0.0;
     for rays in [16, 64, 256] {
         let e = errors(&by_rays(&tracer, &few, rays), &truth);
         let step = (count * rays as usize / 2_000_000).max(1);
@@ -107,6 +104,7 @@ fn measure(name: &str, scene: &Scene, settings: &[MapsSettings]) {
             100.0 * e.p99
         );
         law.push((e.rmse.ln(), us.ln()));
+        ray = (us - build * micro) / f64::from(rays);
     }
     for s in settings {
         let start = cpu();
@@ -120,11 +118,16 @@ fn measure(name: &str, scene: &Scene, settings: &[MapsSettings]) {
             .filter(|&k| seen.ambiguous[picked[k]])
             .collect();
         let mut fixed = pick(&seen.visibility);
-        flagged.iter().for_each(|&k| fixed[k] = truth[k]);
+        let handed = few.subset(&flagged);
+        let better = by_rays(&tracer, &handed, s.directions);
+        flagged
+            .iter()
+            .zip(better)
+            .for_each(|(&k, value)| fixed[k] = value);
         let with = errors(&fixed, &truth);
         let all = seen.ambiguous.iter().filter(|&&a| a).count() as f64 / count as f64;
         println!(
-            "  maps {:4} p {} c {} b {}: {us:7.2} us/v  {:6.2} % bias {:+.2} p99 {:.1}  {:.1}x | {:.1} % handed over: {:.2} % p99 {:.1}",
+            "  maps {:4} p {} c {} b {}: {us:7.2} us/v  {:6.2} % bias {:+.2} p99 {:.1}  {:.1}x | {:.1} % handed over: {total:.2} us/v {:.2} % p99 {:.1} {:.1}x",
             s.directions,
             s.pixel,
             s.cell,
@@ -167,7 +170,7 @@ fn grid(directions: &[u32], shapes: &[(f32, f32, f32)]) -> Vec<MapsSettings> {
 
 #[test]
 #[ignore = "a measurement, minutes"]
-fn dense() {
+fn a_dense_smooth_mesh() {
     let scene = dense::on_ground(dense::bumpy_ball(204, glam::Vec3::ZERO), 64);
     measure(
         "bumpy ball on ground",
@@ -181,7 +184,7 @@ fn dense() {
 
 #[test]
 #[ignore = "a measurement, minutes"]
-fn scans() {
+fn scans_of_the_shared_assets() {
     for name in ["stanford-bunny", "nefertiti", "rocker-arm"] {
         if let Some(mesh) = dense::shared_mesh(name) {
             let scene = dense::on_ground(mesh, 32);
