@@ -76,7 +76,7 @@ fn measure(name: &str, scene: &Scene, settings: &[MapsSettings]) {
     let count = receivers.len();
     let start = cpu();
     let tracer = Tracer::new(scene);
-    let build = (cpu() - start);
+    let build = cpu() - start;
     let picked: Vec<usize> = (0..400)
         .map(|k| (k * 2_654_435_761_usize) % count)
         .collect();
@@ -126,6 +126,8 @@ fn measure(name: &str, scene: &Scene, settings: &[MapsSettings]) {
             .for_each(|(&k, value)| fixed[k] = value);
         let with = errors(&fixed, &truth);
         let all = seen.ambiguous.iter().filter(|&&a| a).count() as f64 / count as f64;
+        let rays_cost = build * micro + all * ray * f64::from(s.directions);
+        let total = if all > 0.0 { us + rays_cost } else { us };
         println!(
             "  maps {:4} p {} c {} b {}: {us:7.2} us/v  {:6.2} % bias {:+.2} p99 {:.1}  {:.1}x | {:.1} % handed over: {total:.2} us/v {:.2} % p99 {:.1} {:.1}x",
             s.directions,
@@ -138,7 +140,8 @@ fn measure(name: &str, scene: &Scene, settings: &[MapsSettings]) {
             interpolate(&law, e.rmse) / us,
             100.0 * all,
             100.0 * with.rmse,
-            100.0 * with.p99
+            100.0 * with.p99,
+            interpolate(&law, with.rmse) / total,
         );
     }
 }

@@ -57,12 +57,12 @@ mod tests {
             if count < 64 {
                 continue;
             }
-            // The mean of |n·ω| over the sphere is 1/2.
+            // The mean of |n·ω| over the sphere is 1/2; 64 random axes would miss it by 0.036.
             for i in 0..50 {
                 let normal = sequence::spiral_sphere(i, 50);
                 let sum: f32 = axes.iter().map(|a| a.direction.dot(normal).abs()).sum();
                 let mean = sum / count as f32;
-                assert!((mean - 0.5).abs() < 0.006, "{count}: {mean}");
+                assert!((mean - 0.5).abs() < 0.012, "{count}: {mean}");
             }
         }
     }
