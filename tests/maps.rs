@@ -200,7 +200,7 @@ fn a_flat_sheet_in_contact_covers_the_ground() {
 }
 
 #[test]
-fn curved_contact_coincidence_and_slivers_are_handed_over() {
+fn curved_contact_and_coincident_surfaces_are_handed_over() {
     let ball = |r: f32| bowl(Vec3::ZERO, r, PI, 40, Side::Outside);
     // A skin 1e-4 over another: the inner one is dark.
     let skins = scene_of(vec![ball(1.0), ball(1.0001)]);

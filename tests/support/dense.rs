@@ -101,6 +101,7 @@ pub(crate) fn on_ground(mesh: Mesh, cells: u16) -> Scene {
 }
 
 /// The triangles of `meshes/NAME.obj` of the shared assets; `None` (said aloud) without them.
+#[expect(clippy::print_stderr, reason = "a skipped test says so")]
 pub(crate) fn shared_mesh(name: &str) -> Option<Mesh> {
     let folder = std::env::var("SURFLUX_SHARED").map_or_else(
         |_| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")),

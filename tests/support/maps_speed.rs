@@ -23,7 +23,7 @@ fn by_rays(tracer: &Tracer, receivers: &Receivers, rays: u32) -> Vec<f32> {
         .map_init(Hemisphere::default, |scratch, i| {
             let mut value = 0.0;
             engine.see(receivers, i..i + 1, scratch, &mut |_, seen| {
-                value = occlusion::visibility(seen)
+                value = occlusion::visibility(seen);
             });
             value
         })
@@ -50,6 +50,13 @@ struct Errors {
     p99: f64,
 }
 
+impl std::fmt::Display for Errors {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [rmse, bias, p99] = [self.rmse, self.bias, self.p99].map(|x| 100.0 * x);
+        write!(f, "{rmse:6.2} % bias {bias:+.2} p99 {p99:.1}")
+    }
+}
+
 fn errors(values: &[f32], truth: &[f32]) -> Errors {
     let n = truth.len() as f64;
     let mean = truth.iter().map(|&t| f64::from(t)).sum::<f64>() / n;
@@ -71,79 +78,100 @@ fn errors(values: &[f32], truth: &[f32]) -> Errors {
     }
 }
 
-fn measure(name: &str, scene: &Scene, settings: &[MapsSettings]) {
-    let receivers = dense::vertices(scene);
-    let count = receivers.len();
-    let start = cpu();
-    let tracer = Tracer::new(scene);
-    let build = cpu() - start;
-    let picked: Vec<usize> = (0..400)
-        .map(|k| (k * 2_654_435_761_usize) % count)
-        .collect();
-    let few = receivers.subset(&picked);
-    let truth = by_rays(&tracer, &few, 8192);
-    let micro = 1e6 / count as f64;
-    println!(
-        "{name}: {count} vertices, {} triangles, build {:.2} us/v",
-        scene.triangle_count(),
-        build * micro
-    );
-    let mut law: Vec<(f64, f64)> = Vec::new();
-    let mut ray = 0.0;
-    for rays in [16, 64, 256] {
-        let e = errors(&by_rays(&tracer, &few, rays), &truth);
-        let step = (count * rays as usize / 2_000_000).max(1);
-        let timed = receivers.subset(&(0..count).step_by(step).collect::<Vec<_>>());
+/// A scene, where it is judged, and what rays cost there.
+struct Bench<'a> {
+    scene: &'a Scene,
+    tracer: Tracer,
+    receivers: Receivers,
+    picked: Vec<usize>,
+    truth: Vec<f32>,
+    /// Microseconds a vertex of the hierarchy.
+    build: f64,
+    /// Microseconds a ray.
+    ray: f64,
+    /// Logarithms of error and microseconds a vertex.
+    law: Vec<(f64, f64)>,
+}
+
+#[expect(clippy::print_stdout, reason = "a measurement's only result")]
+impl<'a> Bench<'a> {
+    fn new(name: &str, scene: &'a Scene) -> Self {
+        let receivers = dense::vertices(scene);
+        let count = receivers.len();
         let start = cpu();
-        by_rays(&tracer, &timed, rays);
-        let us = build * micro + (cpu() - start) * 1e6 / timed.len() as f64;
-        println!(
-            "  rays {rays:4}: {us:7.2} us/v  {:6.2} % bias {:+.2} p99 {:.1}",
-            100.0 * e.rmse,
-            100.0 * e.bias,
-            100.0 * e.p99
-        );
-        law.push((e.rmse.ln(), us.ln()));
-        ray = (us - build * micro) / f64::from(rays);
-    }
-    for s in settings {
-        let start = cpu();
-        let plan = MapsPlan::new(scene);
-        let seen = visibility(&plan, &receivers, s, &Wanted::default(), &dense::quiet())
-            .expect("not cancelled");
-        let us = (cpu() - start) * micro;
-        let pick = |v: &[f32]| picked.iter().map(|&i| v[i]).collect::<Vec<_>>();
-        let e = errors(&pick(&seen.visibility), &truth);
-        let flagged: Vec<usize> = (0..picked.len())
-            .filter(|&k| seen.ambiguous[picked[k]])
+        let tracer = Tracer::new(scene);
+        let build = (cpu() - start) * 1e6 / count as f64;
+        let picked: Vec<usize> = (0..400)
+            .map(|k| (k * 2_654_435_761_usize) % count)
             .collect();
-        let mut fixed = pick(&seen.visibility);
-        let handed = few.subset(&flagged);
-        let better = by_rays(&tracer, &handed, s.directions);
-        flagged
-            .iter()
-            .zip(better)
-            .for_each(|(&k, value)| fixed[k] = value);
-        let with = errors(&fixed, &truth);
-        let all = seen.ambiguous.iter().filter(|&&a| a).count() as f64 / count as f64;
-        let rays_cost = build * micro + all * ray * f64::from(s.directions);
-        let total = if all > 0.0 { us + rays_cost } else { us };
+        let truth = by_rays(&tracer, &receivers.subset(&picked), 8192);
+        let triangles = scene.triangle_count();
+        println!("{name}: {count} vertices, {triangles} triangles, build {build:.2} us/v");
+        Self {
+            scene,
+            tracer,
+            receivers,
+            picked,
+            truth,
+            build,
+            ray: 0.0,
+            law: Vec::new(),
+        }
+    }
+
+    fn rays(&mut self, rays: u32) {
+        let few = self.receivers.subset(&self.picked);
+        let e = errors(&by_rays(&self.tracer, &few, rays), &self.truth);
+        let count = self.receivers.len();
+        let step = (count * rays as usize / 2_000_000).max(1);
+        let timed: Vec<usize> = (0..count).step_by(step).collect();
+        let timed = self.receivers.subset(&timed);
+        let start = cpu();
+        by_rays(&self.tracer, &timed, rays);
+        let gather = (cpu() - start) * 1e6 / timed.len() as f64;
+        let us = self.build + gather;
+        println!("  rays {rays:4}: {us:7.2} us/v  {e}");
+        self.law.push((e.rmse.ln(), us.ln()));
+        self.ray = gather / f64::from(rays);
+    }
+
+    fn maps(&self, s: &MapsSettings) {
+        let count = self.receivers.len() as f64;
+        let start = cpu();
+        let plan = MapsPlan::new(self.scene);
+        let wanted = Wanted::default();
+        let seen = visibility(&plan, &self.receivers, s, &wanted, &dense::quiet());
+        let seen = seen.expect("not cancelled");
+        let us = (cpu() - start) * 1e6 / count;
+        let mut values: Vec<f32> = self.picked.iter().map(|&i| seen.visibility[i]).collect();
+        let alone = errors(&values, &self.truth);
+        let ambiguous = |&k: &usize| seen.ambiguous[self.picked[k]];
+        let flagged: Vec<usize> = (0..values.len()).filter(ambiguous).collect();
+        let places: Vec<usize> = flagged.iter().map(|&k| self.picked[k]).collect();
+        let better = by_rays(&self.tracer, &self.receivers.subset(&places), s.directions);
+        flagged.iter().zip(better).for_each(|(&k, v)| values[k] = v);
+        let with = errors(&values, &self.truth);
+        let share = seen.ambiguous.iter().filter(|&&a| a).count() as f64 / count;
+        let by_rays = self.build + share * self.ray * f64::from(s.directions);
+        let total = if share > 0.0 { us + by_rays } else { us };
+        let ratio = |e: &Errors, us: f64| interpolate(&self.law, e.rmse) / us;
         println!(
-            "  maps {:4} p {} c {} b {}: {us:7.2} us/v  {:6.2} % bias {:+.2} p99 {:.1}  {:.1}x | {:.1} % handed over: {total:.2} us/v {:.2} % p99 {:.1} {:.1}x",
+            "  maps {:4} p {} c {} b {}: {us:7.2} us/v  {alone} {:.1}x | {:.1} % handed over: {total:.2} us/v {with} {:.1}x",
             s.directions,
             s.pixel,
             s.cell,
             s.bias,
-            100.0 * e.rmse,
-            100.0 * e.bias,
-            100.0 * e.p99,
-            interpolate(&law, e.rmse) / us,
-            100.0 * all,
-            100.0 * with.rmse,
-            100.0 * with.p99,
-            interpolate(&law, with.rmse) / total,
+            ratio(&alone, us),
+            100.0 * share,
+            ratio(&with, total),
         );
     }
+}
+
+fn measure(name: &str, scene: &Scene, settings: &[MapsSettings]) {
+    let mut bench = Bench::new(name, scene);
+    [16, 64, 256].into_iter().for_each(|rays| bench.rays(rays));
+    settings.iter().for_each(|settings| bench.maps(settings));
 }
 
 /// Microseconds of rays at this error, log-log through the measured points.
