@@ -14,6 +14,7 @@ pub use estimate::{ErrorEstimate, Reference, estimate};
 pub use radiance::{LoadedCloud, RadianceSource};
 pub use rays::{RaysEngine, RaysFactory, RaysSettings};
 
+pub mod maps;
 pub mod paper;
 pub mod traverse;
 

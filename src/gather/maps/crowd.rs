@@ -1,0 +1,157 @@
+//! Receivers in the order and shape in which maps are looked at: sorted along the Morton curve, so that neighbors look
+//! at neighboring pixels, sixteen to a block, each quantity in a row.
+
+use super::plan::MapsPlan;
+use super::raster;
+use crate::receivers::Receivers;
+use crate::scene::Scene;
+use glam::{Affine3A, Vec3};
+use rayon::prelude::*;
+
+/// Receivers in a block.
+pub(super) const LANES: usize = 16;
+
+/// One value a receiver of a block.
+pub(super) type Lanes = [f32; LANES];
+
+/// Where sixteen receivers are, relative to the plan's center, and what they are. Lanes without a receiver have a zero
+/// normal, which weighs nothing.
+#[derive(Debug, Clone)]
+pub(super) struct Block {
+    pub(super) position: [Lanes; 3],
+    pub(super) normal: [Lanes; 3],
+    /// Tag of the receiver's own surface where it faces the axis.
+    pub(super) tag: [u32; LANES],
+}
+
+/// What sixteen receivers have seen so far.
+#[derive(Debug, Clone)]
+pub(super) struct Sums {
+    /// Cosines of the directions looked along.
+    pub(super) weight: Lanes,
+    /// Cosines of the open ones.
+    pub(super) open: Lanes,
+    /// Cosines of those whose verdict hangs on the bias.
+    pub(super) uncertain: Lanes,
+    /// Sums over the open directions of what was asked for.
+    pub(super) channels: Vec<Lanes>,
+}
+
+impl Sums {
+    fn zero(channels: usize) -> Self {
+        let zero = [0.0; LANES];
+        Self {
+            weight: zero,
+            open: zero,
+            uncertain: zero,
+            channels: vec![zero; channels],
+        }
+    }
+}
+
+/// All receivers.
+#[derive(Debug)]
+pub(super) struct Crowd {
+    pub(super) blocks: Vec<Block>,
+    pub(super) sums: Vec<Sums>,
+    /// Receivers' indices in the order of the lanes.
+    pub(super) order: Vec<u32>,
+}
+
+impl Crowd {
+    /// `channels`: how many sums over open directions each receiver keeps.
+    pub(super) fn new(plan: &MapsPlan<'_>, receivers: &Receivers, channels: usize) -> Self {
+        let order = morton_order(plan, receivers);
+        let blocks: Vec<Block> = order
+            .par_chunks(LANES)
+            .map(|lanes| block(plan, receivers, lanes))
+            .collect();
+        Self {
+            sums: vec![Sums::zero(channels); blocks.len()],
+            blocks,
+            order,
+        }
+    }
+
+    /// One value a receiver, in the receivers' order; `read` is given a block's sums and the lane.
+    pub(super) fn values<T: Clone + Send + Default>(
+        &self,
+        read: impl Fn(&Sums, usize) -> T + Sync,
+    ) -> Vec<T> {
+        let mut values = vec![T::default(); self.order.len()];
+        for (place, &receiver) in self.order.iter().enumerate() {
+            values[receiver as usize] = read(&self.sums[place / LANES], place % LANES);
+        }
+        values
+    }
+}
+
+/// Cells of the Morton curve along one axis.
+const CELLS: f32 = 1024.0;
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "cells are 0 to 1023; there are less than 2³² receivers"
+)]
+fn morton_order(plan: &MapsPlan<'_>, receivers: &Receivers) -> Vec<u32> {
+    let spread = |x: f32| {
+        let mut x = x.clamp(0.0, CELLS - 1.0) as u32;
+        x = (x | x << 16) & 0x0300_00FF;
+        x = (x | x << 8) & 0x0300_F00F;
+        x = (x | x << 4) & 0x030C_30C3;
+        (x | x << 2) & 0x0924_9249
+    };
+    let corner = plan.center - plan.radius;
+    let scale = CELLS / (2.0 * plan.radius).max(f32::MIN_POSITIVE);
+    let mut keys: Vec<u64> = (receivers.position.par_iter())
+        .enumerate()
+        .map(|(i, &position)| {
+            let cell = (position - corner) * scale;
+            let key = spread(cell.x) | spread(cell.y) << 1 | spread(cell.z) << 2;
+            u64::from(key) << 32 | i as u64
+        })
+        .collect();
+    keys.par_sort_unstable();
+    keys.iter().map(|&key| key as u32).collect()
+}
+
+fn block(plan: &MapsPlan<'_>, receivers: &Receivers, lanes: &[u32]) -> Block {
+    let zero = [0.0; LANES];
+    let mut block = Block {
+        position: [zero; 3],
+        normal: [zero; 3],
+        tag: [u32::MAX; LANES],
+    };
+    for (lane, &receiver) in lanes.iter().enumerate() {
+        let i = receiver as usize;
+        let position = receivers.position[i] - plan.center;
+        let normal = receivers.normal[i];
+        for axis in 0..3 {
+            block.position[axis][lane] = position[axis];
+            block.normal[axis][lane] = normal[axis];
+        }
+        block.tag[lane] = raster::tag(receivers.prim[i], is_on_front(plan.scene, receivers, i));
+    }
+    block
+}
+
+/// True if the receiver is lit on the front side of its prim. Where its triangle is degenerate: yes.
+fn is_on_front(scene: &Scene, receivers: &Receivers, i: usize) -> bool {
+    let Some(prim) = scene.prims.get(receivers.prim[i] as usize) else {
+        return true;
+    };
+    let mesh = scene.mesh_of(prim);
+    let Some(&t) = mesh.triangles.get(receivers.surface[i].triangle as usize) else {
+        return true;
+    };
+    let corners = t.map(|k| mesh.positions[k as usize]);
+    let [a, b, c] = if prim.world_from_object == Affine3A::IDENTITY {
+        corners
+    } else {
+        corners.map(|p| prim.world_from_object.transform_point3(p))
+    };
+    let flips = prim.world_from_object.matrix3.determinant() < 0.0;
+    let front: Vec3 = (b - a).cross(c - a) * if flips { -1.0 } else { 1.0 };
+    front.dot(receivers.geometric_normal[i]) >= 0.0
+}

@@ -1,0 +1,200 @@
+//! Scene → what the maps draw: prims sorted by how dense their triangles are, and the few flat ones that are better
+//! tested exactly.
+
+use super::flat::{self, Flat};
+use crate::math::Bounds3;
+use crate::scene::{Mesh, Prim, PrimId, Scene};
+use glam::{DAffine3, DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Prims whose edges are this many times longer than those of the densest prim in a map get a map of their own.
+const CLASS_RATIO: f32 = 4.0;
+
+/// Edges are measured on at most about this many triangles a mesh: their mean is then known to within 1 %.
+const EDGE_SAMPLES: usize = 1 << 14;
+
+/// Occluders of one scene, ready for any [`super::MapsSettings`]. Cost: one pass over the triangles.
+#[derive(Debug)]
+pub struct MapsPlan<'a> {
+    pub(super) scene: &'a Scene,
+    /// Everything is drawn relative to this point, so that numbers are as small as the scene.
+    pub(super) center: Vec3,
+    /// Half the diagonal of the scene's bounds.
+    pub(super) radius: f32,
+    /// Prims of alike density, the densest first.
+    pub(super) classes: Vec<Class>,
+    /// Flat prims, tested exactly, relative to `center`.
+    pub(super) flats: Vec<Flat>,
+}
+
+/// Prims that share a map.
+#[derive(Debug)]
+pub(super) struct Class {
+    pub(super) occluders: Vec<Occluder>,
+    /// Mean edge of their triangles, stage units.
+    pub(super) edge: f32,
+    /// Relative to the plan's center.
+    pub(super) bounds: Bounds3,
+}
+
+/// A prim in a map.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Occluder {
+    pub(super) prim: PrimId,
+    /// To coordinates relative to the plan's center.
+    pub(super) local_from_object: DAffine3,
+    /// Mean edge, stage units.
+    pub(super) edge: f32,
+    /// Stage units an object unit.
+    pub(super) scale: f32,
+    /// True if it is closed and its fronts look outwards: then no ray meets a back before a front.
+    pub(super) is_solid: bool,
+}
+
+/// What a mesh is like, in object space.
+#[derive(Debug, Clone, Copy)]
+struct Form {
+    edge: f32,
+    is_solid: bool,
+}
+
+impl<'a> MapsPlan<'a> {
+    /// Look at all prims of `scene`.
+    pub fn new(scene: &'a Scene) -> Self {
+        let bounds = scene.bounds();
+        let (center, radius) = if bounds.is_empty() {
+            (Vec3::ZERO, 0.0)
+        } else {
+            (bounds.center(), 0.5 * bounds.diagonal())
+        };
+        let forms: Vec<Form> = scene.meshes.par_iter().map(form).collect();
+        let local_from_world = DAffine3::from_translation(-center.as_dvec3());
+        let mut flats = Vec::new();
+        let mut occluders = Vec::new();
+        for (index, prim) in (0_u32..).zip(&scene.prims) {
+            let occluder = occluder(
+                PrimId(index),
+                prim,
+                forms[prim.mesh.index()],
+                local_from_world,
+            );
+            let mesh = scene.mesh_of(prim);
+            match flat::find(mesh, &occluder) {
+                Some(flat) if flats.len() < flat::MOST => flats.push(flat),
+                _ if occluder.edge > 0.0 => occluders.push(occluder),
+                _ => {}
+            }
+        }
+        Self {
+            scene,
+            center,
+            radius,
+            classes: classify(scene, occluders),
+            flats,
+        }
+    }
+
+    /// Mean edge of the densest prims, stage units: the unit of [`super::MapsSettings::pixel`]. 0 if nothing is drawn
+    /// into maps.
+    pub fn edge(&self) -> f32 {
+        self.classes.first().map_or(0.0, |class| class.edge)
+    }
+
+    /// Triangles that are drawn into maps at full density, instances counted each.
+    pub fn triangle_count(&self) -> usize {
+        let of_prim = |occluder: &Occluder| self.mesh(occluder).triangles.len();
+        let classes = self.classes.iter();
+        classes
+            .flat_map(|class| class.occluders.iter().map(of_prim))
+            .sum()
+    }
+
+    pub(super) fn mesh(&self, occluder: &Occluder) -> &'a Mesh {
+        self.scene.mesh_of(&self.scene.prims[occluder.prim.index()])
+    }
+}
+
+fn occluder(id: PrimId, prim: &Prim, form: Form, local_from_world: DAffine3) -> Occluder {
+    let affine = prim.world_from_object;
+    let world_from_object = DAffine3 {
+        matrix3: glam::Mat3::from(affine.matrix3).as_dmat3(),
+        translation: Vec3::from(affine.translation).as_dvec3(),
+    };
+    let scale = affine.matrix3.determinant().abs().cbrt();
+    Occluder {
+        prim: id,
+        local_from_object: local_from_world * world_from_object,
+        edge: form.edge * scale,
+        scale,
+        is_solid: form.is_solid,
+    }
+}
+
+fn form(mesh: &Mesh) -> Form {
+    let step = (mesh.triangles.len() / EDGE_SAMPLES).max(1);
+    let (mut sum, mut count) = (0.0_f64, 0.0_f64);
+    for t in (0..mesh.triangles.len()).step_by(step) {
+        let [a, b, c] = mesh.corners(t);
+        sum += f64::from(a.distance(b) + b.distance(c) + c.distance(a));
+        count += 3.0;
+    }
+    let mean = if count > 0.0 { sum / count } else { 0.0 };
+    #[expect(clippy::cast_possible_truncation, reason = "rounded once, at its end")]
+    let edge = mean as f32;
+    Form {
+        edge,
+        is_solid: mesh.closed && signed_volume(mesh) > 0.0,
+    }
+}
+
+/// Volume that the fronts enclose; negative if they look inwards.
+fn signed_volume(mesh: &Mesh) -> f64 {
+    let origin = mesh.positions.first().copied().unwrap_or_default();
+    let six_volumes = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|i| (mesh.positions[i as usize] - origin).as_dvec3());
+        a.dot(b.cross(c))
+    };
+    mesh.triangles.iter().map(six_volumes).sum()
+}
+
+fn classify(scene: &Scene, mut occluders: Vec<Occluder>) -> Vec<Class> {
+    occluders.sort_by(|a, b| a.edge.total_cmp(&b.edge).then(a.prim.cmp(&b.prim)));
+    let mut classes: Vec<Vec<Occluder>> = Vec::new();
+    for occluder in occluders {
+        match classes.last_mut() {
+            Some(class) if occluder.edge < CLASS_RATIO * class[0].edge => class.push(occluder),
+            _ => classes.push(vec![occluder]),
+        }
+    }
+    let class = |occluders: Vec<Occluder>| {
+        let triangles =
+            |o: &Occluder| scene.mesh_of(&scene.prims[o.prim.index()]).triangles.len() as f32;
+        let count: f32 = occluders.iter().map(triangles).sum();
+        let sum: f32 = occluders.iter().map(|o| o.edge * triangles(o)).sum();
+        let bounds = occluders
+            .iter()
+            .fold(Bounds3::EMPTY, |all, o| all.union(bounds_of(scene, o)));
+        Class {
+            edge: sum / count,
+            occluders,
+            bounds,
+        }
+    };
+    classes.into_iter().map(class).collect()
+}
+
+/// Bounds of the transformed box of a prim.
+fn bounds_of(scene: &Scene, occluder: &Occluder) -> Bounds3 {
+    let local = scene.mesh_of(&scene.prims[occluder.prim.index()]).bounds();
+    let half = (local.max - local.min).as_dvec3() * 0.5;
+    let matrix = occluder.local_from_object.matrix3;
+    let center = occluder
+        .local_from_object
+        .transform_point3(local.center().as_dvec3());
+    let reach: DVec3 =
+        matrix.x_axis.abs() * half.x + matrix.y_axis.abs() * half.y + matrix.z_axis.abs() * half.z;
+    Bounds3 {
+        min: (center - reach).as_vec3(),
+        max: (center + reach).as_vec3(),
+    }
+}

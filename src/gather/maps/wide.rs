@@ -1,0 +1,184 @@
+//! The looks of [`super::look`] for sixteen receivers at a time: the same operations in the same order, so the same
+//! bits on any processor.
+
+use super::crowd::{Block, LANES, Sums};
+use super::flat::FlatView;
+use super::look::{
+    FOREIGN_SHARE, FOREIGN_UNCERTAIN, LEAST_COSINE, OWN_UNCERTAIN, Rules, SLOPE_SHARE, View,
+};
+use super::raster::{DepthMap, TAG_BITS};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, f32x16, i32x16, mask32x16, u32x16};
+use glam::Vec3;
+
+/// Add what `blocks` see along all `views` to their `sums`, view after view.
+pub(super) fn look(
+    level: Level,
+    (views, rules): (&[View], &Rules),
+    blocks: &[Block],
+    sums: &mut [Sums],
+) {
+    dispatch!(level, simd => for (block, sums) in blocks.iter().zip(sums.iter_mut()) {
+        look_block(simd, (views, rules), block, sums);
+    });
+}
+
+#[inline(always)]
+fn look_block<S: Simd>(simd: S, (views, rules): (&[View], &Rules), block: &Block, sums: &mut Sums) {
+    let load = |row: &[f32; LANES]| f32x16::from_slice(simd, row);
+    let position = block.position.each_ref().map(load);
+    let normal = block.normal.each_ref().map(load);
+    let tag = u32x16::from_slice(simd, &block.tag);
+    let (mut weight, mut open) = (load(&sums.weight), load(&sums.open));
+    let mut uncertain = load(&sums.uncertain);
+    let zero = f32x16::splat(simd, 0.0);
+    for view in views {
+        let place = Place::of(simd, view, &position, &normal);
+        let mut covered = zero.simd_gt(zero);
+        let mut unsure = covered;
+        for map in &view.maps {
+            let verdict = map_verdict(simd, (map, rules), &place, tag);
+            covered |= verdict.covered;
+            unsure |= verdict.uncertain;
+        }
+        for flat in &view.flats {
+            covered |= flat_covers(simd, (flat, rules), &place);
+        }
+        let seen = covered.select(zero, place.cosine);
+        weight += place.cosine;
+        open += seen;
+        uncertain += unsure.select(place.cosine, zero);
+        let counted = seen.simd_gt(zero).select(f32x16::splat(simd, 1.0), zero);
+        for (k, sum) in sums.channels.iter_mut().enumerate() {
+            let factor = if k < rules.weighted_channels {
+                seen
+            } else {
+                counted
+            };
+            let value = place.against.select(
+                f32x16::splat(simd, view.channels[1][k]),
+                f32x16::splat(simd, view.channels[0][k]),
+            );
+            (load(sum) + factor * value).store_slice(sum);
+        }
+    }
+    weight.store_slice(&mut sums.weight);
+    open.store_slice(&mut sums.open);
+    uncertain.store_slice(&mut sums.uncertain);
+}
+
+/// See [`super::look`]: sixteen receivers in the frame of an axis.
+struct Place<S: Simd> {
+    right: f32x16<S>,
+    up: f32x16<S>,
+    depth: f32x16<S>,
+    against: mask32x16<S>,
+    cosine: f32x16<S>,
+    inverse_cosine: f32x16<S>,
+    slope: [f32x16<S>; 2],
+    tangent: f32x16<S>,
+}
+
+impl<S: Simd> Place<S> {
+    #[inline(always)]
+    fn of(simd: S, view: &View, position: &[f32x16<S>; 3], normal: &[f32x16<S>; 3]) -> Self {
+        let dot = |v: Vec3, p: &[f32x16<S>; 3]| p[0] * v.x + p[1] * v.y + p[2] * v.z;
+        let axis = &view.axis;
+        let along = dot(axis.direction, normal);
+        let (nr, nu) = (dot(axis.right, normal), dot(axis.up, normal));
+        let against = along.simd_lt(f32x16::splat(simd, 0.0));
+        let depth = dot(axis.direction, position);
+        let cosine = along.abs();
+        let inverse_cosine =
+            f32x16::splat(simd, 1.0) / cosine.max(f32x16::splat(simd, LEAST_COSINE));
+        Self {
+            right: dot(axis.right, position),
+            up: dot(axis.up, position),
+            depth: against.select(-depth, depth),
+            against,
+            cosine,
+            inverse_cosine,
+            slope: [-nr * inverse_cosine, -nu * inverse_cosine],
+            tangent: (nr * nr + nu * nu).sqrt() * inverse_cosine,
+        }
+    }
+}
+
+struct Verdict<S: Simd> {
+    covered: mask32x16<S>,
+    uncertain: mask32x16<S>,
+}
+
+#[expect(
+    clippy::cast_possible_wrap,
+    reason = "maps are at most a few thousand pixels across"
+)]
+#[inline(always)]
+fn map_verdict<S: Simd>(
+    simd: S,
+    (map, rules): (&DepthMap, &Rules),
+    place: &Place<S>,
+    own_tag: u32x16<S>,
+) -> Verdict<S> {
+    let (zero, half) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, 0.5));
+    let x = place.right * map.pixels + map.origin[0];
+    let y = place.up * map.pixels + map.origin[1];
+    let pixel = |x: f32x16<S>, count: u32| -> i32x16<S> {
+        let last = f32x16::splat(simd, (count - 1) as f32);
+        x.max(zero).min(last).to_int()
+    };
+    let (column, row) = (pixel(x, map.width), pixel(y, map.height));
+    let pair = row * (map.width as i32) + column;
+    let side = place
+        .against
+        .select(i32x16::splat(simd, 1), i32x16::splat(simd, 0));
+    let key = gather(simd, &map.keys, pair + pair + side);
+    let steps_a_pixel = map.steps / map.pixels;
+    let middle = |pixel: i32x16<S>| -> f32x16<S> { pixel.to_float::<f32x16<S>>() + half };
+    let slide_x = (middle(column) - x) * place.slope[0];
+    let slide_y = (middle(row) - y) * place.slope[1];
+    let origin = place.against.select(
+        f32x16::splat(simd, map.origin_depth[1]),
+        f32x16::splat(simd, map.origin_depth[0]),
+    );
+    let own = place.depth * map.steps + origin + (slide_x + slide_y) * steps_a_pixel;
+    let depth: i32x16<S> = (key >> TAG_BITS).bitcast();
+    let above = depth.to_float::<f32x16<S>>() - own;
+    let bias = (place.tangent * SLOPE_SHARE + 1.0) * (rules.bias * steps_a_pixel);
+    let is_own = (key & ((1 << TAG_BITS) - 1)).simd_eq(own_tag);
+    let needed = is_own.select(bias, bias * FOREIGN_SHARE);
+    let is_there = key.simd_gt(u32x16::splat(simd, 0));
+    let own_unsure = above.simd_gt(bias * OWN_UNCERTAIN.0) & above.simd_lt(bias * OWN_UNCERTAIN.1);
+    let foreign_unsure = above.abs().simd_lt(bias * FOREIGN_UNCERTAIN);
+    let is_far = above.simd_gt(f32x16::splat(simd, rules.max_distance * map.steps));
+    let unsure = (is_own & own_unsure) | (!is_own & foreign_unsure) | is_far;
+    Verdict {
+        covered: is_there & above.simd_gt(needed),
+        uncertain: is_there & unsure,
+    }
+}
+
+#[expect(clippy::cast_sign_loss, reason = "indices were clamped to the map")]
+#[inline(always)]
+fn gather<S: Simd>(simd: S, keys: &[u32], index: i32x16<S>) -> u32x16<S> {
+    let index: [i32; LANES] = index.into();
+    u32x16::simd_from(simd, index.map(|i| keys[i as usize]))
+}
+
+#[inline(always)]
+fn flat_covers<S: Simd>(
+    simd: S,
+    (flat, rules): (&FlatView, &Rules),
+    place: &Place<S>,
+) -> mask32x16<S> {
+    let at = |[a, b, c]: [f32; 3]| place.right * a + place.up * b + c;
+    let depth = at(flat.depth);
+    let above = place.against.select(-depth, depth) - place.depth;
+    let mut covers = above.simd_gt(place.inverse_cosine * rules.flat_margin)
+        & above.simd_lt(f32x16::splat(simd, rules.max_distance));
+    let least = f32x16::splat(simd, -rules.flat_margin);
+    for &edge in &flat.edges {
+        covers &= at(edge).simd_ge(least);
+    }
+    covers
+}
