@@ -141,7 +141,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("clap", &["cli"]),
     ("indicatif", &["cli"]),
     ("ctrlc", &["cli"]),
-    ("anyhow", &["cli"]),
+    ("anyhow", &["cli", "writers"]),
     ("maud", &["verify"]),
     ("memmap2", &["stage"]),
 ];

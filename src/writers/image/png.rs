@@ -1,6 +1,6 @@
 //! One AOV → PNG, to look at: sRGB with a plain exposure, no look.
 //!
-//! Colors are scaled so that the 99th percentile of the brightest component of covered pixels becomes white, then
+//! Colors are scaled so that the 95th percentile of the brightest component of pixels that are not black becomes white, then
 //! encoded as sRGB and clipped; values are never brightened more than 2^10 times. Fractions (`occlusion`,
 //! `visibility`) are grays as they are, encoded too; depth runs from white (near) to black (far); directions are
 //! `0.5 n + 0.5` without encoding, positions 0…1 over their bounds; ids get distinct colors.
@@ -11,8 +11,8 @@ use crate::results::{Aov, AovImage, ValueType};
 use ::image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use std::path::Path;
 
-/// Share of pixel values that are not clipped.
-const WHITE_PERCENTILE: f32 = 0.99;
+/// Share of pixel values that are not clipped: a lamp in view may take the rest.
+const WHITE_PERCENTILE: f32 = 0.95;
 
 /// Darker images stay dark: it is noise that would be shown.
 const MOST_EXPOSURE: f32 = 1024.0;
@@ -23,7 +23,6 @@ const MOST_EXPOSURE: f32 = 1024.0;
 /// If it has no pixels or the file cannot be written; nothing is left behind then.
 pub fn write_png(path: &Path, image: &AovImage) -> Result<(), Error> {
     let color = match image.aov.value_type() {
-        ValueType::ColorAlpha => ExtendedColorType::Rgba8,
         ValueType::Float => ExtendedColorType::L8,
         _ => ExtendedColorType::Rgb8,
     };
@@ -55,26 +54,18 @@ fn pixels(image: &AovImage) -> Vec<u8> {
     match (image.aov, image.aov.value_type()) {
         (Aov::Depth, _) => depth(&image.data),
         (_, ValueType::Float) => image.data.iter().map(|value| srgb(*value)).collect(),
-        (_, ValueType::Color) => colors(image, 3),
-        (_, ValueType::ColorAlpha) => colors(image, 4),
+        (_, ValueType::Color | ValueType::ColorAlpha) => colors(image),
         (_, ValueType::Normal) => image.data.iter().map(|x| byte(0.5 * x + 0.5)).collect(),
         (_, ValueType::Point) => positions(&image.data),
         (_, ValueType::Id) => image.data.iter().flat_map(|id| id_color(*id)).collect(),
     }
 }
 
-/// Exposed and encoded; alpha as it is, and color divided by it, as PNG wants it.
-fn colors(image: &AovImage, components: usize) -> Vec<u8> {
+/// Exposed and encoded, over black: color is premultiplied, and a sky shines where nothing covers.
+fn colors(image: &AovImage) -> Vec<u8> {
+    let components = image.aov.components();
     let exposure = exposure(&image.data, components);
-    let encode = |pixel: &[f32]| {
-        let alpha = pixel.get(3).copied().unwrap_or(1.0).clamp(0.0, 1.0);
-        let straight = if alpha > 0.0 { exposure / alpha } else { 0.0 };
-        let mut bytes = [0, 0, 0, byte(alpha)];
-        for (byte, value) in bytes.iter_mut().zip(&pixel[..3]) {
-            *byte = srgb(value * straight);
-        }
-        bytes.into_iter().take(components)
-    };
+    let encode = |pixel: &[f32]| [0, 1, 2].map(|channel| srgb(pixel[channel] * exposure));
     image
         .data
         .chunks_exact(components)
@@ -201,15 +192,12 @@ mod tests {
     }
 
     #[test]
-    fn the_brightest_pixels_are_white_and_edges_are_straight_alpha() {
+    fn bright_pixels_are_white_and_edges_are_over_black() {
         let mut data = [2.0, 1.0, 0.0, 1.0].repeat(200);
         data.extend([1.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1e6, 1e6, 1e6, 1.0]);
         let pixels = pixels(&image(Aov::Color, &data));
-        assert_eq!(pixels[..4], [255, 188, 0, 255]);
-        assert_eq!(
-            pixels[800..812],
-            [255, 188, 0, 128, 0, 0, 0, 0, 255, 255, 255, 255]
-        );
+        assert_eq!(pixels[..3], [255, 188, 0]);
+        assert_eq!(pixels[600..609], [188, 137, 0, 0, 0, 0, 255, 255, 255]);
     }
 
     #[test]
