@@ -26,11 +26,8 @@ fn balls() -> (Scene, Receivers) {
     let mut builder = SceneBuilder::new();
     let gray = builder.material(Vec3::new(0.7, 0.6, 0.5), Vec3::ZERO);
     let glow = builder.material(Vec3::ZERO, Vec3::splat(5.0));
-    let bounds = Bounds3 {
-        min: Vec3::ZERO,
-        max: Vec3::splat(2.0),
-    };
-    let walls = builder.mesh("walls", room(bounds, 16), gray);
+    let floor = plate(Vec3::ZERO, Vec3::Z * 2.0, Vec3::X * 2.0, 16);
+    let walls = builder.mesh("walls", floor, gray);
     let ball = bowl(
         Vec3::new(0.6, 0.4, 0.7),
         0.4,

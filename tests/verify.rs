@@ -20,6 +20,7 @@ def Xform "World"
         uniform token subdivisionScheme = "none"
         color3f[] primvars:displayColor = [(0.8, 0.5, 0.3)]
     }
+    def Sphere "ball"
     {
         double radius = 0.6
         double3 xformOp:translate = (-0.7, 0.62, 0)

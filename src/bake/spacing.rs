@@ -83,6 +83,9 @@ impl Search<'_> {
             if off < least_off {
                 (best, least_off) = (Some((prims, as_f32(spacing))), off);
             }
+            if !(off.is_finite() && ideal > 0.0 && ideal.is_finite()) {
+                break;
+            }
             let next = (spacing * excess.sqrt()).clamp(ideal / COARSEST, ideal * COARSEST);
             if (excess - 1.0).abs() <= CLOSE_ENOUGH || next == spacing {
                 break;

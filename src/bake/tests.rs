@@ -380,7 +380,7 @@ fn a_dense_mesh_keeps_to_the_budget_and_its_area() {
         (floor(200), Affine3A::from_rotation_x(0.7)),
     ] {
         let scene = scene(vec![(mesh, place)]);
-        let dense = bake_lit(&scene, spaced(1e-4), &|_| Vec3::ZERO);
+        let dense = bake_lit(&scene, spaced(0.01), &|_| Vec3::ZERO);
         let all = dense.cloud.len();
         for surfels in [400, 2000, all / 4] {
             let baked = bake_lit(&scene, budget(surfels), &|_| Vec3::ZERO);
@@ -512,7 +512,9 @@ fn instances_of_a_size_share_their_cells_and_keep_their_own_area() {
     let counts: Vec<_> = (0..4)
         .map(|i| baked.dice.prims()[i].table().cell_count())
         .collect();
-    assert!(counts[1] > 5 * counts[0] && counts[2] > counts[0] && counts[3] == counts[0]);
+    // The large one has 9 times the area, less what its triangles, one cell each at least, hold back.
+    assert!(counts[1] > 5 * counts[0], "{counts:?}");
+    assert!(counts[2] > counts[0] && counts[3] == counts[0], "{counts:?}");
 }
 
 #[test]
@@ -538,7 +540,7 @@ fn clusters_reflect_and_emit_what_their_triangles_do() {
         };
         bake_with(&scene, &look, &settings, &Diagnostics::default()).unwrap()
     };
-    let fine = bake(spaced(1e-4)).cloud;
+    let fine = bake(spaced(0.01)).cloud;
     for surfels in [1000, 4000] {
         let coarse = bake(budget(surfels)).cloud;
         assert!(coarse.len() < 2 * surfels);

@@ -74,6 +74,12 @@ pub trait Engine: Sync + Debug {
 
     /// `rays`, `paper`, …
     fn name(&self) -> &'static str;
+
+    /// Receivers a unit of parallel work: few where each takes long, so that a run can be cancelled soon. At most
+    /// 64.
+    fn block_size(&self) -> usize {
+        BLOCK
+    }
 }
 
 /// Makes an engine that reads light from a cloud; for `bounce`, whose clouds change from one iteration to the next.
@@ -113,7 +119,7 @@ pub fn gather(
     let work = Work::plan(scene, aovs);
     let phase = diagnostics.phase("gather", "receivers", receivers.len() as u64);
     let mut results = empty_results(aovs, receivers.len());
-    split(&mut results, receivers.len())
+    split(&mut results, receivers.len(), engine.block_size())
         .into_par_iter()
         .try_for_each_init(Hemisphere::default, |scratch, mut block| {
             diagnostics.check()?;
@@ -144,16 +150,17 @@ struct Block<'a> {
 }
 
 /// Cut the buffers of `results` into blocks, so that threads write into their places without copies.
-fn split(results: &mut Results, count: usize) -> Vec<Block<'_>> {
+fn split(results: &mut Results, count: usize, block_size: usize) -> Vec<Block<'_>> {
+    let block_size = block_size.clamp(1, BLOCK);
     let mut blocks: Vec<_> = (0..count)
-        .step_by(BLOCK)
+        .step_by(block_size)
         .map(|start| Block {
-            range: start..(start + BLOCK).min(count),
+            range: start..(start + block_size).min(count),
             values: Vec::new(),
         })
         .collect();
     for buffer in &mut results.buffers {
-        let chunks = buffer.data.chunks_mut(BLOCK * buffer.aov.components());
+        let chunks = buffer.data.chunks_mut(block_size * buffer.aov.components());
         for (block, chunk) in blocks.iter_mut().zip(chunks) {
             block.values.push((buffer.aov, chunk));
         }

@@ -67,6 +67,9 @@ impl RaysSettings {
     }
 }
 
+/// Rays between two looks at whether the run was cancelled: a fraction of a second.
+const RAYS_A_BLOCK: usize = 1 << 18;
+
 /// Sees the scene by rays.
 #[derive(Debug)]
 pub struct RaysEngine<'a> {
@@ -163,6 +166,10 @@ impl Engine for RaysEngine<'_> {
 
     fn name(&self) -> &'static str {
         "rays"
+    }
+
+    fn block_size(&self) -> usize {
+        RAYS_A_BLOCK / self.pattern.len()
     }
 }
 

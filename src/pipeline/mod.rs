@@ -93,12 +93,20 @@ pub enum Error {
 /// The first thing that went wrong; files already complete stay, nothing partial does.
 pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
     let start = std::time::Instant::now();
-    let mut report = match job {
-        Job::Points(job) => points::run(job, diagnostics)?,
-        Job::Bake(job) => bake::run(job, diagnostics)?,
-        Job::Render(job) => render::run(job, diagnostics)?,
-        Job::Info(stage) | Job::Verify(VerifyJob { stage, .. }) => Report::new(&stage.command),
+    let done = match job {
+        Job::Points(job) => points::run(job, diagnostics),
+        Job::Bake(job) => bake::run(job, diagnostics),
+        Job::Render(job) => render::run(job, diagnostics),
+        Job::Info(stage) | Job::Verify(VerifyJob { stage, .. }) => Ok(Report::new(&stage.command)),
     };
+    // An interrupt reaches the worker process too: what it says of its end is no news then.
+    let mut report = done.map_err(|error| {
+        if diagnostics.check().is_err() {
+            Error::Cancelled(Cancelled)
+        } else {
+            error
+        }
+    })?;
     // Who interrupts the last write is not told of a success; its file is complete.
     diagnostics.check()?;
     report.seconds.total = start.elapsed().as_secs_f64();

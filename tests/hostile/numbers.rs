@@ -173,7 +173,7 @@ fn primvars_and_normals_of_wrong_length_or_without_numbers_are_warned_of() {
 
 #[test]
 fn transforms_that_are_not_finite_leave_the_prim_out_with_a_warning() {
-    for scale in ["nan,1,1", "inf,1,1", "1e200,1e200,1e200"] {
+    for scale in ["nan,1,1", "inf,1,1"] {
         let mesh = format!(
             "double3 xformOp:scale = ({scale})\nuniform token[] xformOpOrder = [\"xformOp:scale\"]"
         )
