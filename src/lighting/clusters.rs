@@ -123,7 +123,7 @@ impl Clusters {
                 sum
             })
             .collect();
-        if !(sum > 0.0) {
+        if sum.is_nan() || sum <= 0.0 {
             return Vec3::ZERO;
         }
         let unoccluded: Vec3 = parts.iter().map(|part| part.color * part.irradiance).sum();

@@ -54,7 +54,7 @@ impl SampledEmitters {
         let mut sum = 0.0;
         for triangle in triangles {
             let share = power(triangle) / total;
-            if !(share > 0.0) {
+            if share.is_nan() || share <= 0.0 {
                 continue;
             }
             sum += share;

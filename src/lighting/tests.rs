@@ -406,314 +406,6 @@ fn lights_without_size_or_finite_numbers_warn_and_are_dark() {
     }
 }
 
-/// Emitting squares or meshes: `(triangles, radiance, transform)`.
-fn emitting(meshes: &[(Vec<[Vec3; 3]>, f32, Affine3A)]) -> Scene {
-    let prims: Vec<_> = (0..).zip(meshes).map(|(i, m)| (i, m.2)).collect();
-    let mut scene = scene(meshes.iter().map(|m| mesh(&m.0)).collect(), &prims);
-    for (i, (_, radiance, _)) in (0..).zip(meshes) {
-        scene.materials.push(Material {
-            emissive_color: Input::color(*radiance, 2.0 * radiance, 3.0 * radiance),
-            ..Material::default()
-        });
-        scene.prims[i].materials = FaceMaterials::Whole(Some(MaterialId(i as u32)));
-    }
-    scene
-}
-
-fn from_emitters(scene: &Scene, points: &[ShadePoint]) -> Vec<Vec3> {
-    let diagnostics = Diagnostics::default();
-    let shader = Shader::new(scene, &diagnostics);
-    let tracer = Tracer::new(scene);
-    let lighting = Lighting::new(&shader, ONE_LIGHT, &diagnostics);
-    points
-        .iter()
-        .map(|p| lighting.emitters(&shader, &tracer, p))
-        .collect()
-}
-
-/// `n × n` quads from `corner` along `a` and `b`, counter-clockwise about `a × b`.
-fn grid(corner: Vec3, a: Vec3, b: Vec3, n: usize) -> Vec<[Vec3; 3]> {
-    let at = |i: usize, j: usize| corner + a * (i as f32 / n as f32) + b * (j as f32 / n as f32);
-    (0..n * n)
-        .flat_map(|k| {
-            let (i, j) = (k % n, k / n);
-            quad(at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1))
-        })
-        .collect()
-}
-
-#[test]
-fn perpendicular_square_gives_the_textbook_form_factor_with_any_tessellation() {
-    // Howell B-3: element in the plane at right angles to a rectangle (width b, height a), at distance c of its foot
-    let (a, b, c): (f32, f32, f32) = (1.0, 1.0, 0.5);
-    let (x, y) = (a / b, c / b);
-    let root = (x * x + y * y).sqrt();
-    let truth = 0.5 * ((1.0 / y).atan() - y / root * (1.0 / root).atan());
-    for n in [1, 12] {
-        // wall at x = 0, 0 ≤ y ≤ 1, 0 ≤ z ≤ 1, facing +X; the element below its edge's end
-        let wall = grid(Vec3::ZERO, Vec3::Y, Vec3::Z, n);
-        let scene = emitting(&[(wall, 1.0, Affine3A::IDENTITY)]);
-        let value = from_emitters(&scene, &[up_at(Vec3::new(c, 0.0, 0.0))]);
-        assert_near(value[0], truth, 5e-4);
-    }
-}
-
-#[test]
-fn a_closed_emitting_box_gives_pi_l_everywhere_also_on_edges_and_corners() {
-    for n in [1, 5] {
-        let mut triangles = Vec::new();
-        for (a, b, c) in [
-            (Vec3::X, Vec3::Y, Vec3::Z),
-            (Vec3::Y, Vec3::Z, Vec3::X),
-            (Vec3::Z, Vec3::X, Vec3::Y),
-        ] {
-            triangles.extend(grid(Vec3::ZERO, a, b, n));
-            triangles.extend(grid(c, b, a, n));
-        }
-        for turn in [
-            Affine3A::IDENTITY,
-            Affine3A::from_rotation_y(0.4) * Affine3A::from_rotation_x(1.0),
-        ] {
-            let turned: Vec<_> = triangles
-                .iter()
-                .map(|t| t.map(|p| turn.transform_point3(p)))
-                .collect();
-            let scene = emitting(&[(turned, 1.0, Affine3A::IDENTITY)]);
-            let mut points = Vec::new();
-            for i in 0..=10 {
-                for j in 0..=10 {
-                    let local = Vec3::new(i as f32 / 10.0, 0.0, j as f32 / 10.0);
-                    points.push(facing(
-                        turn.transform_point3(local),
-                        turn.transform_vector3(Vec3::Y),
-                    ));
-                }
-            }
-            for (value, point) in from_emitters(&scene, &points).into_iter().zip(&points) {
-                let error = (value / (PI * Vec3::new(1.0, 2.0, 3.0)) - 1.0)
-                    .abs()
-                    .max_element();
-                assert!(error < 2e-3, "{n} {}: {value}", point.position);
-            }
-        }
-    }
-}
-
-/// A ball about the origin of `12 n²` triangles: between inscribed and circumscribed, so that its area is the sphere's
-/// to 1e-3 with `n` = 24.
-fn ball(n: usize) -> Vec<[Vec3; 3]> {
-    let mut triangles = Vec::new();
-    let middle = 0.5 * (Vec3::X + Vec3::Y + Vec3::Z);
-    for (a, b, c) in [
-        (Vec3::X, Vec3::Y, Vec3::Z),
-        (Vec3::Y, Vec3::Z, Vec3::X),
-        (Vec3::Z, Vec3::X, Vec3::Y),
-    ] {
-        triangles.extend(grid(c - middle, a, b, n));
-        triangles.extend(grid(-middle, b, a, n));
-    }
-    (triangles.iter())
-        .map(|t| t.map(|p| p.normalize() * 1.0006))
-        .collect()
-}
-
-fn relative_rms(values: &[Vec3], truths: &[f32]) -> f32 {
-    let squares: f32 = (values.iter().zip(truths))
-        .map(|(value, truth)| (value.x - truth).powi(2))
-        .sum();
-    let count = truths.len() as f32;
-    (squares / count).sqrt() / (truths.iter().sum::<f32>() / count)
-}
-
-#[test]
-fn a_finely_tessellated_emitting_ball_equals_the_sphere_formula() {
-    for mirror in [1.0_f32, -1.0] {
-        let transform = Affine3A::from_scale_rotation_translation(
-            Vec3::new(0.4 * mirror, 0.4, 0.4),
-            Quat::IDENTITY,
-            Vec3::new(0.0, 1.0, 0.0),
-        );
-        let scene = emitting(&[(ball(24), 1.0, transform)]);
-        let points: Vec<_> = (0..20)
-            .map(|i| up_at(Vec3::new(0.15 * i as f32, 0.0, 0.1)))
-            .collect();
-        let truths: Vec<_> = (points.iter())
-            .map(|point| {
-                let d2 = point.position.length_squared() + 1.0;
-                PI * 0.16 / d2 / d2.sqrt()
-            })
-            .collect();
-        let relative = relative_rms(&from_emitters(&scene, &points), &truths);
-        assert!(relative < 1.5e-3, "relRMS {relative}");
-    }
-}
-
-#[test]
-fn a_half_hidden_emitting_ball_equals_brute_force() {
-    let transform = Affine3A::from_scale_rotation_translation(
-        Vec3::splat(0.4),
-        Quat::IDENTITY,
-        Vec3::new(0.0, 1.5, 0.0),
-    );
-    let sheet = grid(Vec3::new(0.0, 0.6, -2.0), Vec3::X * 2.0, Vec3::Z * 4.0, 1);
-    let scene = emitting(&[(ball(16), 1.0, transform), (sheet, 0.0, Affine3A::IDENTITY)]);
-    let tracer = Tracer::new(&scene);
-    let points: Vec<_> = (0..9)
-        .map(|i| up_at(Vec3::new(0.1 * i as f32 - 0.5, 0.0, 0.05)))
-        .collect();
-    let mut random = Random(5);
-    let truths: Vec<_> = (points.iter())
-        .map(|point| {
-            // directions within the cone about the ball
-            let to_ball = Vec3::new(0.0, 1.5, 0.0) - point.position;
-            let frame = crate::math::Frame::about(to_ball.normalize());
-            let cap = 1.0 - (1.0 - (0.41 / to_ball.length()).powi(2)).sqrt();
-            let (n, mut sum) = (40_000, 0.0_f64);
-            for _ in 0..n {
-                let z = 1.0 - cap * random.next();
-                let around = Vec2::from_angle(2.0 * PI * random.next());
-                let direction = frame.to_world((around * (1.0 - z * z).sqrt()).extend(z));
-                let hit = tracer.closest(point.position, direction, f32::INFINITY);
-                if hit.is_some_and(|hit| hit.prim.0 == 0) {
-                    sum += f64::from(direction.y);
-                }
-            }
-            (sum * f64::from(2.0 * PI * cap)) as f32 / n as f32
-        })
-        .collect();
-    let relative = relative_rms(&from_emitters(&scene, &points), &truths);
-    assert!(relative < 2e-2, "relRMS {relative} in a penumbra");
-}
-
-#[test]
-fn an_emitting_square_brighter_to_one_side_equals_brute_force() {
-    // emission x at the place x of a unit square over the receiver
-    let square = grid(Vec3::new(0.0, 1.0, 0.0), Vec3::X, Vec3::Z, 1);
-    let mut scene = emitting(&[(square, 1.0, Affine3A::IDENTITY)]);
-    let values = (scene.meshes[0].positions.iter())
-        .map(|p| glam::Vec4::new(p.x, 2.0 * p.x, 3.0 * p.x, 1.0))
-        .collect();
-    scene.meshes[0].primvars.push(crate::scene::Primvar {
-        name: "glow".into(),
-        components: 3,
-        interpolation: crate::scene::Interpolation::Vertex,
-        values,
-    });
-    scene.materials[0].emissive_color = Input::Primvar {
-        name: "glow".into(),
-        fallback: glam::Vec4::ONE,
-    };
-    let points: Vec<_> = (0..12)
-        .map(|i| up_at(Vec3::new(0.2 * i as f32 - 0.8, 0.0, 0.3)))
-        .collect();
-    let n = 200;
-    let at = |i: usize| (i as f32 + 0.5) / n as f32;
-    let truths: Vec<_> = (points.iter())
-        .map(|point| {
-            let sum: f64 = (0..n * n)
-                .map(|k| {
-                    let place = Vec3::new(at(k % n), 1.0, at(k / n));
-                    let squared = (place - point.position).length_squared();
-                    f64::from(place.x / (squared * squared))
-                })
-                .sum();
-            (sum / (n * n) as f64) as f32
-        })
-        .collect();
-    let relative = relative_rms(&from_emitters(&scene, &points), &truths);
-    assert!(relative < 2.5e-2, "relRMS {relative}");
-}
-
-/// A ball of few triangles with smooth normals, and points of its triangles.
-fn coarse_ball() -> (Vec<[Vec3; 3]>, Vec<ShadePoint>) {
-    let triangles = ball(3);
-    let mut points = Vec::new();
-    for corners in &triangles {
-        let plane = (corners[1] - corners[0])
-            .cross(corners[2] - corners[0])
-            .normalize();
-        for (u, v) in [(0.2, 0.2), (0.6, 0.2), (0.2, 0.6), (0.3, 0.35), (0.05, 0.9)] {
-            let weights = Vec3::new(1.0 - u - v, u, v);
-            let [a, b, c] = corners;
-            let position = a * weights.x + b * weights.y + c * weights.z;
-            let normal = position.normalize();
-            let normals = corners.map(Vec3::normalize);
-            points.push(ShadePoint {
-                position,
-                normal,
-                geometric_normal: plane,
-                smooth_offset: Some(smooth_offset(corners, &normals, weights, normal)),
-            });
-        }
-    }
-    (triangles, points)
-}
-
-/// A sharp sun in a direction that no edge of [`coarse_ball`] has to do with.
-fn slanted_sun() -> (Light, Vec3) {
-    let to_sun = Vec3::new(0.3, 0.8, 0.5).normalize();
-    let turn = Affine3A::from_quat(Quat::from_rotation_arc(Vec3::Z, to_sun));
-    (light(LightKind::Distant { angle: 0.0 }, turn), to_sun)
-}
-
-#[test]
-fn facets_of_a_coarse_smooth_ball_do_not_show_at_the_terminator() {
-    let (triangles, points) = coarse_ball();
-    let (sun, to_sun) = slanted_sun();
-    let values = lit_by(sun.clone(), &triangles, LightSamples::default(), &points);
-    let mut below = 0;
-    for (value, point) in values.iter().zip(&points) {
-        let cosine = point.normal.dot(to_sun).max(0.0);
-        assert_near(*value, cosine, if cosine > 0.0 { 1e-5 } else { 0.0 });
-        below += usize::from(cosine > 0.0 && point.geometric_normal.dot(to_sun) < 0.0);
-    }
-    assert!(below >= 4, "{below} points are lit from below their planes");
-    let flat: Vec<_> = (points.iter())
-        .map(|point| ShadePoint {
-            smooth_offset: None,
-            ..*point
-        })
-        .collect();
-    let dark = lit_by(sun, &triangles, LightSamples::default(), &flat);
-    assert_ne!(dark, values);
-}
-
-#[test]
-fn light_does_not_leak_through_what_touches_a_coarse_smooth_ball() {
-    // a sheet that cuts the ball a little above its terminator: below it all is dark
-    let (mut triangles, points) = coarse_ball();
-    let (sun, to_sun) = slanted_sun();
-    let frame = crate::math::Frame::about(to_sun);
-    let (a, b) = (frame.tangent * 9.0, frame.normal.cross(frame.tangent) * 9.0);
-    triangles.extend(quad(
-        to_sun * 0.05 - a - b,
-        to_sun * 0.05 + a - b,
-        to_sun * 0.05 + a + b,
-        to_sun * 0.05 - a + b,
-    ));
-    let below: Vec<_> = (points.into_iter())
-        .filter(|point| point.position.dot(to_sun) < 0.045)
-        .collect();
-    let facing_sun = |point: &&ShadePoint| point.normal.dot(to_sun) > 0.0;
-    assert!(below.iter().filter(facing_sun).count() > 3);
-    let values = lit_by(sun, &triangles, LightSamples::default(), &below);
-    assert!(values.iter().all(|value| *value == Vec3::ZERO));
-}
-
-#[test]
-fn the_smooth_surface_over_a_triangle_of_a_sphere_is_near_the_sphere_and_hollow_ones_have_none() {
-    let corners = [Vec3::X, Vec3::Y, Vec3::Z];
-    let third = Vec3::splat(1.0 / 3.0);
-    let up = third.normalize();
-    let offset = smooth_offset(&corners, &corners, third, up);
-    let height = (third + offset).length();
-    assert!(offset.normalize().dot(up) > 0.999 && (0.9..1.3).contains(&height));
-    let hollow = smooth_offset(&corners, &corners.map(|n| -n), third, -up);
-    assert_eq!(hollow, Vec3::ZERO);
-    let at_corner = smooth_offset(&corners, &corners, Vec3::Y, Vec3::Y);
-    assert_eq!(at_corner, Vec3::ZERO);
-}
-
 #[test]
 fn glances_at_a_light_average_to_its_irradiance() {
     let kind = LightKind::Rect {
@@ -742,54 +434,34 @@ fn glances_at_a_light_average_to_its_irradiance() {
     }
 }
 
-#[test]
-fn occluded_panels_equal_brute_force() {
-    let mut random = Random(11);
-    let light = grid(Vec3::new(-0.5, 2.0, -0.5), Vec3::X, Vec3::Z, 4);
-    // faces down
-    let light: Vec<_> = light.iter().map(|t| [t[0], t[1], t[2]]).collect();
-    let blocker = grid(Vec3::new(0.1, 1.0, -0.3), Vec3::X * 0.5, Vec3::Z * 0.5, 1);
-    let scene = emitting(&[
-        (light, 1.0, Affine3A::IDENTITY),
-        (blocker, 0.0, Affine3A::IDENTITY),
-    ]);
-    let tracer = Tracer::new(&scene);
-    let points: Vec<_> = (0..12)
-        .map(|i| up_at(Vec3::new(0.1 * i as f32 - 0.4, 0.0, 0.05)))
-        .collect();
-    let values = from_emitters(&scene, &points);
-    let (mut squares, mut mean) = (0.0, 0.0);
-    for (point, value) in points.iter().zip(&values) {
-        let n = 100_000;
-        let mut truth = 0.0_f64;
-        for _ in 0..n {
-            let target = Vec3::new(random.next() - 0.5, 2.0, random.next() - 0.5);
-            let d = target - point.position;
-            if !tracer.occluded(point.position, d.normalize(), d.length() * 0.999) {
-                truth += f64::from(4.0 / d.length_squared().powi(2)) / f64::from(n);
-            }
-        }
-        squares += (value.x - truth as f32).powi(2);
-        mean += truth as f32;
-    }
-    let relative = (squares / 12.0).sqrt() / (mean / 12.0);
-    assert!(relative < 2.5e-2, "relRMS {relative} in a penumbra");
+/// `n × n` quads from `corner` along `a` and `b`, counter-clockwise about `a × b`.
+fn grid(corner: Vec3, a: Vec3, b: Vec3, n: usize) -> Vec<[Vec3; 3]> {
+    let at = |i: usize, j: usize| corner + a * (i as f32 / n as f32) + b * (j as f32 / n as f32);
+    (0..n * n)
+        .flat_map(|k| {
+            let (i, j) = (k % n, k / n);
+            quad(at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1))
+        })
+        .collect()
 }
 
-#[test]
-fn scenes_without_emission_have_no_emitters() {
-    let black = emitting(&[(
-        grid(Vec3::ZERO, Vec3::X, Vec3::Y, 2),
-        0.0,
-        Affine3A::IDENTITY,
-    )]);
-    let diagnostics = Diagnostics::default();
-    let shader = Shader::new(&black, &diagnostics);
-    let lighting = Lighting::new(&shader, ONE_LIGHT, &diagnostics);
-    assert!(!lighting.has_emitters() && !lighting.has_environment());
-    assert_eq!(lighting.uniform_environment(), Some(Vec3::ZERO));
-    let tracer = Tracer::new(&black);
-    let point = up_at(Vec3::ZERO);
-    assert_eq!(lighting.emitters(&shader, &tracer, &point), Vec3::ZERO);
-    assert_eq!(lighting.environment(&tracer, &point), Vec3::ZERO);
+/// A ball about the origin of `12 n²` triangles: between inscribed and circumscribed, so that its area is the sphere's
+/// to 1e-3 with `n` = 24.
+fn ball(n: usize) -> Vec<[Vec3; 3]> {
+    let mut triangles = Vec::new();
+    let middle = 0.5 * (Vec3::X + Vec3::Y + Vec3::Z);
+    for (a, b, c) in [
+        (Vec3::X, Vec3::Y, Vec3::Z),
+        (Vec3::Y, Vec3::Z, Vec3::X),
+        (Vec3::Z, Vec3::X, Vec3::Y),
+    ] {
+        triangles.extend(grid(c - middle, a, b, n));
+        triangles.extend(grid(-middle, b, a, n));
+    }
+    (triangles.iter())
+        .map(|t| t.map(|p| p.normalize() * 1.0006))
+        .collect()
 }
+
+mod emitters;
+mod facets;
