@@ -512,9 +512,12 @@ fn instances_of_a_size_share_their_cells_and_keep_their_own_area() {
     let counts: Vec<_> = (0..4)
         .map(|i| baked.dice.prims()[i].table().cell_count())
         .collect();
-    // The large one has 9 times the area, less what its triangles, one cell each at least, hold back.
-    assert!(counts[1] > 5 * counts[0], "{counts:?}");
-    assert!(counts[2] > counts[0] && counts[3] == counts[0], "{counts:?}");
+    // The large one has 9 times the area, less what the turning of its surface asks of the small ones.
+    assert!(counts[1] > 4 * counts[0], "{counts:?}");
+    assert!(
+        counts[2] > counts[0] && counts[3] == counts[0],
+        "{counts:?}"
+    );
 }
 
 #[test]

@@ -86,6 +86,11 @@ fn sobol_second(mut index: u32) -> u32 {
 }
 
 #[cfg(test)]
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "numbers of tests are small"
+)]
 mod tests {
     use super::*;
 

@@ -42,6 +42,9 @@ pub fn place(
 pub type Cast<'a> = &'a (dyn Fn(Vec3, Vec3, f32) -> Option<Hit> + Sync);
 
 /// [`place`] with rays of one's own: `cast` leaves out what other things (lights) hide from the camera.
+///
+/// # Panics
+/// With more than 2³² pixels and parts of pixels.
 pub fn place_with(
     scene: &Scene,
     cast: Cast<'_>,

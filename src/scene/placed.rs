@@ -41,6 +41,9 @@ impl<'a> PlacedMesh<'a> {
     }
 
     /// Number of triangles.
+    ///
+    /// # Panics
+    /// With more than 2³² of them.
     pub fn triangle_count(&self) -> u32 {
         u32::try_from(self.mesh.triangles.len()).expect("triangles are numbered with 32 bits")
     }

@@ -38,6 +38,9 @@ pub struct DiceTable {
 impl DiceTable {
     /// Dice `triangles` (the points at their corners) at `spacing`; `place` gives the world position of a point.
     /// Fewer than 2³¹ cells: the caller chooses the spacing accordingly.
+    ///
+    /// # Panics
+    /// With more than 2³² triangles or cells.
     pub fn new(triangles: &[[u32; 3]], place: impl Fn(u32) -> Vec3, spacing: f32) -> Self {
         let clusters = cluster(triangles, &place, spacing);
         let triangle_count =

@@ -1,7 +1,6 @@
 //! Bad input through the built program: an error that names what is wrong, or a warning and a sensible result; never
 //! a panic, a hang, a value that is not finite, or a rest of a file.
 #![expect(clippy::print_stdout, reason = "the seed of a failure must be known")]
-#![expect(clippy::print_stdout, reason = "random tests tell their seed")]
 
 #[path = "../support/python.rs"]
 mod python;
