@@ -1,7 +1,7 @@
 //! Rays against a scene: closest hits and occlusion, two-level where meshes are shared.
 //!
 //! Prims that own their mesh are in one hierarchy in world space; a shared mesh has one in its object space, under a
-//! top level over its occurrences. Both levels are the same eight-way tree, [`wide`]. Boxes and triangles are plain loops
+//! top level over its occurrences. Both levels are the same eight-way tree, `wide`. Boxes and triangles are plain loops
 //! over lanes; the whole search is compiled once for every instruction set and the widest one that the machine has is
 //! taken. No operation is fused or reordered, so that the results are the same bits on all of them.
 

@@ -2,7 +2,7 @@
 //!
 //! Composition (which layers and prims there are) is the crate's; values are resolved here, site by site, because the
 //! crate lets time samples of a weak layer win over the default of a strong one. What the crate reads wrongly without
-//! saying so is repaired ([`text`]) or refused; what it cannot read is an error that names the layer.
+//! saying so is repaired (`text`) or refused; what it cannot read is an error that names the layer.
 
 mod class_cycles;
 mod complaints;
