@@ -20,13 +20,15 @@ use surflux::scene::Scene;
 use surflux::shading::Shader;
 use surflux::trace::Tracer;
 
-/// A room with a glowing panel below its ceiling and two balls, and the floor and a ball as receivers.
+/// A yard with a back wall, two balls and a glowing panel above, under no sky; the ground and a ball as receivers.
 fn balls() -> (Scene, Receivers) {
     let mut builder = SceneBuilder::new();
     let gray = builder.material(Vec3::new(0.7, 0.6, 0.5), Vec3::ZERO);
     let glow = builder.material(Vec3::ZERO, Vec3::splat(5.0));
-    let floor = plate(Vec3::ZERO, Vec3::Z * 2.0, Vec3::X * 2.0, 16);
-    let walls = builder.mesh("walls", floor, gray);
+    let ground = plate(Vec3::ZERO, Vec3::Z * 2.0, Vec3::X * 2.0, 48);
+    let ground = builder.mesh("ground", ground, gray);
+    let wall = plate(Vec3::ZERO, Vec3::X * 2.0, Vec3::Y * 1.5, 8);
+    builder.mesh("wall", wall, gray);
     let ball = bowl(
         Vec3::new(0.6, 0.4, 0.7),
         0.4,
@@ -46,7 +48,7 @@ fn balls() -> (Scene, Receivers) {
     let panel = plate(Vec3::new(0.7, 1.9, 0.7), Vec3::X * 0.6, Vec3::Z * 0.6, 2);
     builder.mesh("panel", panel, glow);
     let scene = builder.build();
-    let mut receivers = receivers_in(&scene, walls, 1);
+    let mut receivers = receivers_in(&scene, ground, 1);
     let more = receivers_in(&scene, first, 1);
     receivers.position.extend(more.position);
     receivers.normal.extend(more.normal);

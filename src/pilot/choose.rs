@@ -1,5 +1,6 @@
 //! The choice itself.
 
+use super::clock::Clock;
 use super::error::{mean_magnitude, measured_as, relative, rms_difference, values};
 use super::light::{self, LightError, LightScenes};
 use super::{Candidate, Knobs, Method};
@@ -8,7 +9,6 @@ use crate::gather::estimate::spread;
 use crate::gather::{ErrorEstimate, GatherScene};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
-use std::time::Instant;
 
 /// Power of the number of rays (or light samples) that their error falls with: measured from 64 to 4096 lattice rays.
 pub(super) const LAW: f64 = 0.75;
@@ -76,7 +76,7 @@ pub struct Trial {
     /// Settings.
     #[serde(serialize_with = "knobs_as_map")]
     pub knobs: Knobs,
-    /// Seconds of gathering a receiver (all threads), as the pilot's few take them.
+    /// Processor seconds of gathering a receiver.
     pub seconds_per_receiver: f64,
     /// Relative RMSE over that allowed, of the worst AOV; none where the cost alone ruled it out.
     pub error_over_tolerance: Option<f64>,
@@ -101,7 +101,7 @@ pub struct Outcome {
     pub trials: Vec<Trial>,
     /// Receivers looked at.
     pub receivers: usize,
-    /// Seconds it all took.
+    /// Processor seconds it all took.
     pub seconds: f64,
 }
 
@@ -121,7 +121,7 @@ impl Outcome {
 /// # Errors
 /// When cancelled.
 pub fn choose(pilot: &Pilot<'_, '_>, diagnostics: &Diagnostics) -> Result<Outcome, Cancelled> {
-    let start = Instant::now();
+    let start = Clock::start();
     let count = pilot.receivers.len();
     let picks = (count / ONE_IN).clamp(FEWEST, MOST).min(count);
     let few = pilot.receivers.subset(&spread(count, picks));
@@ -131,7 +131,7 @@ pub fn choose(pilot: &Pilot<'_, '_>, diagnostics: &Diagnostics) -> Result<Outcom
     };
     let mut bench = Bench::new(pilot, few, light, diagnostics);
     let mut outcome = bench.choose()?;
-    outcome.seconds = start.elapsed().as_secs_f64();
+    outcome.seconds = start.seconds();
     Ok(outcome)
 }
 
@@ -230,11 +230,11 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
     }
 
     fn look(&self, method: &dyn Method, receivers: &Receivers) -> Result<Look, Cancelled> {
-        let start = Instant::now();
+        let start = Clock::start();
         let results = method.gather(self.scene, receivers, &self.aovs, self.diagnostics)?;
         Ok(Look {
             results,
-            seconds_per_receiver: start.elapsed().as_secs_f64() / receivers.len().max(1) as f64,
+            seconds_per_receiver: start.seconds() / receivers.len().max(1) as f64,
         })
     }
 
@@ -319,7 +319,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         }
     }
 
-    /// Seconds of the run and errors if `candidate` meets the tolerance in less than `best` seconds.
+    /// Processor seconds of the run and errors if `candidate` meets the tolerance in less than `best` seconds.
     fn try_candidate(
         &mut self,
         candidate: &Candidate<'_>,
@@ -329,9 +329,9 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         if candidate.preparation >= best {
             return Ok(None);
         }
-        let start = Instant::now();
+        let start = Clock::start();
         let method = (candidate.make)();
-        let preparation = start.elapsed().as_secs_f64();
+        let preparation = start.seconds();
         let glance = self
             .few
             .subset(&spread(self.few.len(), GLANCE.min(self.few.len())));

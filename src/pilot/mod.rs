@@ -6,6 +6,7 @@
 //! machine, costs do: two machines may choose different engines, never different errors beyond the tolerance.
 
 mod choose;
+pub mod clock;
 pub mod error;
 mod light;
 
@@ -54,7 +55,7 @@ pub struct Candidate<'a> {
     pub engine: &'static str,
     /// Its settings.
     pub knobs: Knobs,
-    /// Seconds that [`Self::make`] will probably take.
+    /// Processor seconds that [`Self::make`] will probably take.
     pub preparation: f64,
     /// Makes it, with what it stands on.
     pub make: Box<dyn Fn() -> Box<dyn Method + 'a> + 'a>,

@@ -19,8 +19,8 @@ use crate::results::Aov;
 use crate::scene::PrimId;
 use crate::stage;
 use crate::verify::{
-    Auto, ErrorPicture, Machine, Question, Set, Subject, VerifyReport, knobs_text, look, measure,
-    page, picture, signed, truth,
+    Auto, ErrorPicture, Machine, Question, Set, Subject, VerifyReport, label, look, measure, page,
+    picture, signed, truth,
 };
 use std::time::Instant;
 
@@ -239,9 +239,9 @@ impl Arena<'_> {
             method: Box::new(stand.rays_with(stand.rays_settings(rays))) as Box<dyn Method + 's>,
             auto: None,
         });
-        let paper = PAPER_KNOBS
+        let paper = MORE_PAPER_KNOBS
             .iter()
-            .chain(&MORE_PAPER_KNOBS)
+            .chain(&PAPER_KNOBS)
             .map(|&knobs| Subject {
                 engine: "paper",
                 knobs: paper_knobs(knobs),
@@ -334,10 +334,9 @@ fn pictures(
     for subject in question.subjects.iter().filter(wanted) {
         let values = look(question, subject.method.as_ref(), all, diagnostics)?;
         let title = format!(
-            "{}: {} {}",
+            "{}: {}",
             question.aov.name(),
-            subject.engine,
-            knobs_text(&subject.knobs)
+            label(subject.engine, &subject.knobs)
         );
         errors.push((title, signed(&values, &truth)));
     }

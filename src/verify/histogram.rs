@@ -4,9 +4,10 @@ use super::Row;
 use super::plot::{engine_color, put};
 
 const WIDTH: f64 = 440.0;
-const HEIGHT: f64 = 170.0;
+const HEIGHT: f64 = 200.0;
 const BOTTOM: f64 = 24.0;
-const TOP: f64 = 16.0;
+/// Room for the legend.
+const TOP: f64 = 46.0;
 const BINS: usize = 41;
 
 /// Share of all errors that the horizontal axis reaches over.
@@ -84,12 +85,11 @@ pub(super) fn histogram(rows: &[&Row]) -> String {
             &mut svg,
             format_args!(
                 "<polygon points=\"{}\" fill=\"{color}\" fill-opacity=\"0.08\" stroke=\"{color}\" stroke-dasharray=\"{dash}\"/>\
-             <text x=\"4\" y=\"{}\" fill=\"{color}\">{} {}: {}</text>",
+             <text x=\"4\" y=\"{}\" fill=\"{color}\">{} {}</text>",
                 points.join(" "),
-                TOP + 12.0 * k as f64,
+                12.0 + 12.0 * k as f64,
                 ["—", "– –", "···"][k.min(2)],
-                row.engine,
-                row.settings_text()
+                row.label()
             ),
         );
     }

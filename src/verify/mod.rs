@@ -1,6 +1,6 @@
 //! Engines × settings × receivers → speed against error: every [`Subject`] is timed and compared with converged rays.
 //!
-//! Times are of one thread, the median of several passes that take turns, so that a disturbance meets all alike. The
+//! Times are processor time of one thread, the median of several passes that take turns. The
 //! truth is the mean of two independent halves; their difference is its standard error, which is taken out of every
 //! relative RMSE.
 
@@ -16,12 +16,12 @@ pub use picture::{ErrorPicture, picture};
 
 use crate::diagnostics::{Cancelled, Diagnostics, Silent};
 use crate::gather::GatherScene;
+use crate::pilot::clock::Clock;
 use crate::pilot::error::{ErrorStatistics, Truth, relative, statistics, values};
 use crate::pilot::{Knobs, Method};
 use crate::receivers::Receivers;
 use crate::results::Aov;
 use serde::Serialize;
-use std::time::Instant;
 
 /// Passes over all subjects; odd, for the median.
 const PASSES: usize = 3;
@@ -57,7 +57,7 @@ pub struct Auto {
     pub tolerance: f64,
     /// Error that the pilot foretold; none if it had nothing to measure.
     pub estimate: Option<f64>,
-    /// Cost of the pilot, microseconds (all threads) a receiver of the whole population.
+    /// Cost of the pilot, microseconds of processor time a receiver of the whole population.
     pub pilot_microseconds: f64,
 }
 
@@ -90,7 +90,7 @@ pub struct Row {
     pub settings: Knobs,
     /// Set if this is what `--tolerance` picks.
     pub auto: Option<Auto>,
-    /// Time of one receiver on one thread.
+    /// Processor time of one receiver on one thread.
     pub microseconds: f64,
     /// How wrong it is.
     #[serde(flatten)]
@@ -104,6 +104,21 @@ impl Row {
     /// The settings in words: `rays 64`.
     pub fn settings_text(&self) -> String {
         knobs_text(&self.settings)
+    }
+
+    /// Engine and settings in words.
+    pub fn label(&self) -> String {
+        label(self.engine, &self.settings)
+    }
+}
+
+/// Engine and settings in words: `rays 64`, `paper: max solid angle 0.03, raster resolution 12`.
+pub fn label(engine: &str, knobs: &Knobs) -> String {
+    let knobs = knobs_text(knobs);
+    if knobs.starts_with(engine) {
+        knobs
+    } else {
+        format!("{engine}: {knobs}")
     }
 }
 
@@ -220,9 +235,9 @@ pub fn measure(
     for _ in 0..PASSES {
         for (i, subject) in question.subjects.iter().enumerate() {
             let timed = one_thread(|| {
-                let start = Instant::now();
+                let start = Clock::start();
                 let values = look(question, subject.method.as_ref(), &set.receivers, &silent);
-                (values, start.elapsed().as_secs_f64())
+                (values, start.seconds())
             });
             found[i] = timed.0?;
             times[i].push(timed.1);
