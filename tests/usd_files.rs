@@ -1,18 +1,24 @@
 //! Clouds and bakes of ours, opened with the programs they are for: Pixar's usd-core and Blender.
 
+#[path = "support/program.rs"]
+#[expect(dead_code, reason = "for other tests")]
+mod program;
 #[path = "support/python.rs"]
 mod python;
 
 use glam::{Affine3A, DVec3, Vec3};
 use python::run_python;
 use serde_json::Value as Json;
+use std::collections::BTreeMap;
 use std::f32::consts::PI;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use surflux::diagnostics::Diagnostics;
 use surflux::results::{Aov, AovBuffer, BakeInterpolation, PrimvarSpan, Results};
 use surflux::scene::{
-    FaceMaterials, MeshId, Prim, PrimId, PrimSource, Purpose, Scene, StageInfo, UpAxis,
+    EnclosingInstance, FaceMaterials, MeshId, Prim, PrimId, PrimSource, Purpose, Scene, StageInfo,
+    UpAxis,
 };
 use surflux::stage::cloud::read_cloud;
 use surflux::surfels::SurfelCloud;
@@ -472,7 +478,10 @@ def Xform "World" {{
 
 fn native(root: &str) -> (String, PrimSource) {
     let source = PrimSource::NativeInstance {
-        instance_root: root.to_owned(),
+        instances: Arc::new([EnclosingInstance {
+            path: root.to_owned(),
+            first: "/World/i1".to_owned(),
+        }]),
         shared_path: "/World/i1/quad".to_owned(),
     };
     (format!("{root}/quad"), source)
@@ -805,6 +814,105 @@ fn blender_shows_the_bake_with_every_value() {
         assert_eq!(
             entry["emission"],
             serde_json::json!(["displayColor", ["Emission Color"]])
+        );
+    }
+}
+
+/// Three walls in a row, each two instances deep, and one instance of the inner kind by itself.
+const NESTED: &str = r#"#usda 1.0
+( defaultPrim = "World" )
+def Xform "World" {
+    def "a" ( instanceable = true
+              references = </Kit/outer> ) {}
+    def "b" ( instanceable = true
+              references = </Kit/outer> ) { double3 xformOp:translate = (4, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]; }
+    def "c" ( instanceable = true
+              references = </Kit/inner> ) { double3 xformOp:translate = (0, 0, 1)
+        uniform token[] xformOpOrder = ["xformOp:translate"]; }
+}
+class "Kit" {
+    def Xform "outer" {
+        def "left" ( instanceable = true
+                     references = </Kit/inner> ) {}
+        def "right" ( instanceable = true
+                      references = </Kit/inner> ) { double3 xformOp:translate = (2, 0, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate"]; }
+        def Mesh "post" {
+            int[] faceVertexCounts = [4]
+            int[] faceVertexIndices = [0, 1, 2, 3]
+            point3f[] points = [(0,0,0.5), (1,0,0.5), (1,1,0.5), (0,1,0.5)]
+            uniform token subdivisionScheme = "none"
+        }
+    }
+    def Xform "inner" {
+        def Mesh "quad" {
+            int[] faceVertexCounts = [4]
+            int[] faceVertexIndices = [0, 1, 2, 3]
+            point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0)]
+            uniform token subdivisionScheme = "none"
+        }
+    }
+}
+"#;
+
+/// Occlusion of every mesh as usd-core reads the bake of [`NESTED`]; they must all be below instances, or none.
+fn nested_bake(policy: &str, instanced: bool) -> BTreeMap<String, Vec<f32>> {
+    let (folder, stage) = program::stage(NESTED);
+    let out = folder.path().join("out.usdc");
+    let arguments = [
+        "bake",
+        "--aov",
+        "occlusion",
+        "--usd",
+        "native",
+        "--rays",
+        "64",
+    ];
+    let output = program::surflux()
+        .args(arguments)
+        .args(["--instances", policy, "-q", "--json", "-o"])
+        .args([&out, &stage])
+        .output()
+        .expect("the program starts");
+    assert_eq!(program::json(&output)["warnings"], serde_json::json!([]));
+    let read = json(&run_python(
+        READ_BAKE,
+        &[folder.path().join("out_baked.usda")],
+    ));
+    let meshes = read["meshes"].as_object().expect("meshes");
+    meshes
+        .iter()
+        .filter(|(path, _)| path.starts_with("/World"))
+        .map(|(path, about)| {
+            assert_eq!(about["proxy"], instanced, "{path}");
+            (path.clone(), floats(&primvar(&read, path, "occlusion")[2]))
+        })
+        .collect()
+}
+
+#[test]
+fn instances_inside_instances_keep_their_values() {
+    let own = nested_bake("deinstance", false);
+    let quads = ["a/left", "a/right", "b/left", "b/right", "c"].map(|p| format!("/World/{p}/quad"));
+    assert_eq!(own.len(), 7);
+    assert!(own.values().all(|values| values.len() == 4));
+    assert!(
+        own[&quads[0]] != own[&quads[1]],
+        "only the left one has something above it"
+    );
+    let shared = nested_bake("shared", true);
+    for i in 0..4 {
+        let mean = quads.iter().map(|quad| own[quad][i]).sum::<f32>() / 5.0;
+        for quad in &quads {
+            assert!((shared[quad][i] - mean).abs() < 1e-6, "{quad}");
+        }
+        let posts = ["/World/a/post", "/World/b/post"];
+        let mean = posts.iter().map(|&post| own[post][i]).sum::<f32>() / 2.0;
+        assert!(
+            posts
+                .iter()
+                .all(|&post| (shared[post][i] - mean).abs() < 1e-6)
         );
     }
 }

@@ -17,7 +17,7 @@ pub use light::{Light, LightKind, Shaping};
 pub use material::{ColorSpace, Input, Material, MaterialId, TextureRead, Wrap};
 pub use mesh::{Cage, Interpolation, Mesh, MeshId, Normals, Primvar};
 pub use placed::{PlacedMesh, on_the_side_of};
-pub use prim::{FaceMaterials, Prim, PrimId, PrimSource, Purpose};
+pub use prim::{EnclosingInstance, FaceMaterials, Prim, PrimId, PrimSource, Purpose};
 pub use render_product::{RenderProduct, RenderSettings, RenderVar};
 
 use crate::math::Bounds3;

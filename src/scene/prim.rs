@@ -66,10 +66,10 @@ impl FaceMaterials {
 pub enum PrimSource {
     /// An ordinary prim: opinions can be written at its path.
     Direct,
-    /// Below a native instance: opinions at the path take effect only when `instance_root` is made uninstanceable.
+    /// Below native instances: opinions at the path take effect only when all of them are made uninstanceable.
     NativeInstance {
-        /// Path of the outermost `instanceable` prim above.
-        instance_root: String,
+        /// The instances above, outermost first, at least one.
+        instances: Arc<[EnclosingInstance]>,
         /// Path of the same prim inside the first instance that uses this prototype (all instances share it).
         shared_path: String,
     },
@@ -82,6 +82,15 @@ pub enum PrimSource {
         /// Path of the mesh below the prototype.
         shared_path: String,
     },
+}
+
+/// A native instance above a prim.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EnclosingInstance {
+    /// Its stage path.
+    pub path: String,
+    /// Path of the first instance that uses the same prototype; its own if it is the first.
+    pub first: String,
 }
 
 /// One visible occurrence of a mesh.

@@ -8,8 +8,9 @@ use super::super::ReadSettings;
 use super::super::raw::{RawPrim, RawStage, Value};
 use super::xform;
 use crate::diagnostics::Diagnostics;
-use crate::scene::{PrimSource, Purpose};
+use crate::scene::{EnclosingInstance, PrimSource, Purpose};
 use glam::DMat4;
+use std::sync::Arc;
 
 /// One occurrence of a prim on the flattened stage.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,6 +48,7 @@ pub fn flatten(
         diagnostics,
         occurrences: Vec::with_capacity(raw.prims.len()),
         first_occurrence: vec![None; raw.prims.len()],
+        first_instance: vec![None; raw.prims.len()],
     };
     let stage_prims = raw.prims.iter().take(raw.prototype_start).enumerate();
     let mut pending: Vec<Pending> = stage_prims
@@ -116,6 +118,8 @@ struct Unfolding<'a> {
     occurrences: Vec<Occurrence>,
     /// First occurrence of every prim: names the shared path of instanced prims.
     first_occurrence: Vec<Option<usize>>,
+    /// First occurrence of an instance of every prototype root.
+    first_instance: Vec<Option<usize>>,
 }
 
 impl Unfolding<'_> {
@@ -173,6 +177,9 @@ impl Unfolding<'_> {
         }
         let index = self.occurrences.len();
         self.first_occurrence[pending.prim].get_or_insert(index);
+        if let Some(prototype) = prim.prototype {
+            self.first_instance[prototype].get_or_insert(index);
+        }
         self.occurrences.push(occurrence);
         index
     }
@@ -181,24 +188,42 @@ impl Unfolding<'_> {
         if pending.instance_depth == 0 {
             return PrimSource::Direct;
         }
-        let parent = pending.parent.map(|index| &self.occurrences[index]);
-        let instance_root = match parent {
-            Some(Occurrence {
-                source: PrimSource::NativeInstance { instance_root, .. },
-                ..
-            }) => instance_root.clone(),
-            Some(parent) => parent.path.clone(),
-            None => path.to_owned(),
-        };
         let first = self.first_occurrence[pending.prim];
         PrimSource::NativeInstance {
-            instance_root,
+            instances: pending
+                .parent
+                .map_or_else(none, |parent| self.instances_down_to(parent)),
             shared_path: first.map_or_else(
                 || path.to_owned(),
                 |index| self.occurrences[index].path.clone(),
             ),
         }
     }
+
+    /// The instances above the children of `occurrence`.
+    fn instances_down_to(&self, occurrence: usize) -> Arc<[EnclosingInstance]> {
+        let Occurrence {
+            prim, path, source, ..
+        } = &self.occurrences[occurrence];
+        let above = match source {
+            PrimSource::NativeInstance { instances, .. } => instances.clone(),
+            _ => none(),
+        };
+        let Some(prototype) = self.raw.prims[*prim].prototype else {
+            return above;
+        };
+        let first = self.first_instance[prototype].unwrap_or(occurrence);
+        let this = EnclosingInstance {
+            path: path.clone(),
+            first: self.occurrences[first].path.clone(),
+        };
+        above.iter().cloned().chain([this]).collect()
+    }
+}
+
+/// Those above an occurrence below none.
+fn none() -> Arc<[EnclosingInstance]> {
+    Arc::new([])
 }
 
 /// The last element of a prim path.
@@ -303,7 +328,16 @@ mod tests {
         assert_eq!(
             flat[5].source,
             PrimSource::NativeInstance {
-                instance_root: "/B".into(),
+                instances: Arc::new([
+                    EnclosingInstance {
+                        path: "/B".into(),
+                        first: "/A".into(),
+                    },
+                    EnclosingInstance {
+                        path: "/B/n".into(),
+                        first: "/A/n".into(),
+                    },
+                ]),
                 shared_path: "/A/n/m".into(),
             }
         );

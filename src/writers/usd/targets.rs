@@ -2,7 +2,7 @@
 
 use crate::diagnostics::Diagnostics;
 use crate::results::PrimvarSpan;
-use crate::scene::{Prim, PrimSource, Scene};
+use crate::scene::{EnclosingInstance, Prim, PrimSource, Scene};
 use std::collections::BTreeMap;
 
 /// What becomes of prims below instances. USD ignores opinions below an instanceable prim.
@@ -11,8 +11,8 @@ pub enum InstancePolicy {
     /// One set of values for all instances of a prototype, their average; instances stay instances.
     ///
     /// Native instances: every instance inherits a new class of the bake layer that holds the values (an arc on the
-    /// instance itself is part of its prototype, opinions below it are not). Point instances: the values go to the
-    /// prototype prim.
+    /// instance itself is part of its prototype, opinions below it are not); an instance inside another inherits its
+    /// own in the class of the outer one. Point instances: the values go to the prototype prim.
     #[default]
     Shared,
     /// Native instances are made uninstanceable and hold values of their own. Point instances are skipped with a
@@ -27,7 +27,7 @@ pub enum InstancePolicy {
 pub(super) struct Targets<'a> {
     /// Spans that share each path; more than one are averaged.
     pub(super) spans: BTreeMap<String, Vec<&'a PrimvarSpan>>,
-    /// Class to inherit by instance.
+    /// Class to inherit by instance, or by what stands for it in the class of an outer one.
     pub(super) inherits: BTreeMap<String, String>,
     /// Instances that must not be instanceable any more.
     pub(super) deinstanced: Vec<String>,
@@ -88,31 +88,18 @@ fn target(
 ) -> Result<String, Refusal> {
     match (&prim.source, policy) {
         (PrimSource::Direct, _) => Ok(prim.path.clone()),
-        (
-            PrimSource::NativeInstance {
-                instance_root,
-                shared_path,
-            },
-            InstancePolicy::Shared,
-        ) => {
-            let below = prim.path.strip_prefix(instance_root.as_str());
-            let split = below.and_then(|below| Some((below, shared_path.strip_suffix(below)?)));
-            let (below, first_instance) = split.ok_or_else(|| Refusal {
-                prim: instance_root.clone(),
-                message: "its place in the shared prototype is unknown, so it gets no baked values",
-            })?;
-            let class = classes.of(first_instance);
-            targets
-                .inherits
-                .insert(instance_root.clone(), class.clone());
-            Ok(class + below)
+        (PrimSource::NativeInstance { instances, .. }, InstancePolicy::Shared) => {
+            Ok(shared(prim, instances, classes, &mut targets.inherits))
         }
-        (PrimSource::NativeInstance { instance_root, .. }, InstancePolicy::Deinstance) => {
-            targets.deinstanced.push(instance_root.clone());
+        (PrimSource::NativeInstance { instances, .. }, InstancePolicy::Deinstance) => {
+            let paths = instances.iter().map(|instance| instance.path.clone());
+            targets.deinstanced.extend(paths);
             Ok(prim.path.clone())
         }
-        (PrimSource::NativeInstance { instance_root, .. }, InstancePolicy::Skip) => Err(Refusal {
-            prim: instance_root.clone(),
+        (PrimSource::NativeInstance { instances, .. }, InstancePolicy::Skip) => Err(Refusal {
+            prim: instances
+                .first()
+                .map_or_else(|| prim.path.clone(), |outermost| outermost.path.clone()),
             message: "instances are skipped, so what is below gets no baked values",
         }),
         (PrimSource::PointInstance { shared_path, .. }, InstancePolicy::Shared) => {
@@ -128,4 +115,30 @@ fn target(
             message: "instances are skipped, so its instances get no baked values",
         }),
     }
+}
+
+/// The place that all prims like `prim` share: below the class of the innermost of `instances`. Each instance inherits
+/// its class where its own opinions count: on the stage, or in the class of the instance that encloses it.
+fn shared(
+    prim: &Prim,
+    instances: &[EnclosingInstance],
+    classes: &mut Classes,
+    inherits: &mut BTreeMap<String, String>,
+) -> String {
+    // what stands for the stage path `above`: itself, then the class of each instance in turn
+    let (mut above, mut stand_in) = ("", String::new());
+    for instance in instances {
+        let class = classes.of(&instance.first);
+        inherits.insert(below(&stand_in, above, &instance.path), class.clone());
+        (above, stand_in) = (&instance.path, class);
+    }
+    below(&stand_in, above, &prim.path)
+}
+
+/// `path` with `stand_in` for `above`, which encloses it.
+fn below(stand_in: &str, above: &str, path: &str) -> String {
+    let rest = path
+        .strip_prefix(above)
+        .expect("instances enclose what is below them");
+    format!("{stand_in}{rest}")
 }
