@@ -22,6 +22,7 @@ use crate::verify::{
     Auto, ErrorPicture, Machine, Question, Set, Subject, VerifyReport, label, look, measure, page,
     picture, signed, truth,
 };
+use crate::writers::write_whole;
 use std::time::Instant;
 
 /// Tolerances that `auto` is asked for.
@@ -61,7 +62,7 @@ pub fn verify(job: &VerifyJob, diagnostics: &Diagnostics) -> Result<VerifyReport
     found.seconds = start.elapsed().as_secs_f64();
     found.warnings = diagnostics.warnings();
     if let Some(path) = job.output.path.as_ref().filter(|_| !job.output.dry_run) {
-        std::fs::write(path, page(&found)).map_err(|source| Error::WritePage {
+        write_whole(path, page(&found).as_bytes()).map_err(|source| Error::WritePage {
             path: path.clone(),
             source,
         })?;

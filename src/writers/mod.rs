@@ -2,3 +2,6 @@
 
 pub mod image;
 pub mod usd;
+mod whole;
+
+pub use whole::write_whole;

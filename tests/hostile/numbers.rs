@@ -186,6 +186,44 @@ fn transforms_that_are_not_finite_leave_the_prim_out_with_a_warning() {
 }
 
 #[test]
+fn prims_of_no_size_have_finite_values() {
+    for scale in ["(0, 0, 0)", "(1, 0, 1)", "(1e-300, 1, 1)"] {
+        let mesh = format!(
+            "double3 xformOp:scale = {scale}\nuniform token[] xformOpOrder = [\"xformOp:scale\"]"
+        );
+        let more = "def Cube \"other\" {\ndouble size = 1\n}";
+        let stage = Stage {
+            mesh: mesh.leak(),
+            more,
+            ..PLAIN
+        };
+        stage.bake(scale, |trial| trial.fine());
+        stage.render(scale, |trial| trial.fine());
+    }
+}
+
+#[test]
+fn prims_beyond_single_precision_are_refused_or_left_out() {
+    for op in [
+        "double3 xformOp:scale = (1e200, 1e200, 1e200)",
+        "double3 xformOp:scale = (1e38, 1e38, 1e38)",
+        "double3 xformOp:translate = (1e200, 0, 0)",
+        "double3 xformOp:translate = (1e308, 1e308, 1e308)",
+    ] {
+        let name = op.split([' ', '=']).nth(1).unwrap_or_default();
+        let mesh = format!("{op}\nuniform token[] xformOpOrder = [\"{name}\"]").leak();
+        let more = "def Cube \"other\" {\ndouble size = 1\n}";
+        let stage = Stage {
+            mesh,
+            more,
+            ..PLAIN
+        };
+        stage.bake(op, |trial| trial.says(&["/quad"]));
+        stage.render(op, |trial| trial.says(&["/quad"]));
+    }
+}
+
+#[test]
 fn lights_without_sense_are_left_out_with_a_warning() {
     let cases = [
         "float inputs:intensity = nan",

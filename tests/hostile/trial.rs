@@ -119,7 +119,8 @@ impl Trial {
         assert!(!said.contains("warning"), "{}: {said}", self.what);
     }
 
-    fn says(&self, words: &[&str]) {
+    /// All `words` are in what it said, whether it succeeded or not.
+    pub(crate) fn says(&self, words: &[&str]) {
         let said = stderr(&self.output);
         for word in words {
             assert!(said.contains(word), "{}: no {word:?} in: {said}", self.what);

@@ -7,8 +7,6 @@ pub mod png;
 pub use exr::{ExrInfo, ExrLayout, write_exr};
 pub use png::{png_of_rgb, write_png};
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// An image could not be written. No file was left behind, and an older one of that name is untouched.
@@ -49,26 +47,12 @@ pub enum Error {
     },
 }
 
-/// Write `bytes` as `path`: under a temporary name in the same folder, then renamed.
+/// Write `bytes` as `path`, whole or not at all.
 fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    let io = |source| Error::Io {
+    super::write_whole(path, bytes).map_err(|source| Error::Io {
         path: path.to_owned(),
         source,
-    };
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
-    let written = write_all(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path));
-    if written.is_err() {
-        // The first error is the one to tell; that the temporary file may not exist is no news.
-        let _ = std::fs::remove_file(&temporary);
-    }
-    written.map_err(io)
-}
-
-fn write_all(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = BufWriter::new(File::create(path)?);
-    file.write_all(bytes)?;
-    file.into_inner()?.sync_data()
+    })
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ mod opinions;
 mod targets;
 
 use crate::scene::{StageInfo, UpAxis};
+use crate::writers::whole::temporary_beside;
 use openusd::sdf::{self, FieldKey, Value};
 use openusd::{usda, usdc};
 use std::collections::HashMap;
@@ -131,19 +132,6 @@ fn save(data: &sdf::Data, path: &Path) -> Result<(), Error> {
     file.persist(path)
         .map_err(|error| unwritable(error.error))?;
     Ok(())
-}
-
-fn temporary_beside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".surflux-");
-    // Temporary files are private by default; the result is to be as readable as any other file of the user's.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.tempfile_in(folder)
 }
 
 /// `CrateWriter` writes in small pieces: unbuffered it takes three times as long (5 M points: 2.0 s against 0.6 s).

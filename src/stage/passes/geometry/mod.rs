@@ -66,8 +66,13 @@ pub fn lay_out<'a>(
     diagnostics: &Diagnostics,
 ) -> Result<Layout<'a>, Error> {
     diagnostics.check()?;
-    let placements = placement::placements(raw, occurrences, settings, diagnostics);
-    let bounds = world::bounds(raw, occurrences, &placements);
+    let mut placements = placement::placements(raw, occurrences, settings, diagnostics);
+    let bounds =
+        world::Boxes::new(raw, occurrences).keep_within_reach(&mut placements, |placement| {
+            let limit = world::LARGEST_DISTANCE;
+            let flaw = format!("is not finite or leads more than {limit:e} units away");
+            warn_of_transform(placement, &flaw, diagnostics);
+        });
     Ok(Layout {
         raw,
         occurrences,
@@ -256,16 +261,7 @@ impl Layout<'_> {
         } else {
             return true;
         };
-        // One warning for all points of an instancer: scaling points to nothing is a common way to hide them.
-        let path = match &self.placements[placement].source {
-            PrimSource::PointInstance { instancer, .. } => instancer,
-            _ => &self.placements[placement].path,
-        };
-        diagnostics.warn(
-            "degenerate-transform",
-            path.clone(),
-            format!("what is drawn with a transform that {flaw} is left out"),
-        );
+        warn_of_transform(&self.placements[placement], flaw, diagnostics);
         false
     }
 
@@ -286,6 +282,19 @@ impl Layout<'_> {
             })
             .collect()
     }
+}
+
+/// One warning for all points of an instancer: scaling points to nothing is a common way to hide them.
+fn warn_of_transform(placement: &Placement, flaw: &str, diagnostics: &Diagnostics) {
+    let path = match &placement.source {
+        PrimSource::PointInstance { instancer, .. } => instancer,
+        _ => &placement.path,
+    };
+    diagnostics.warn(
+        "degenerate-transform",
+        path.clone(),
+        format!("what is drawn with a transform that {flaw} is left out"),
+    );
 }
 
 fn kept_primvars(look: &Look) -> Vec<String> {

@@ -14,19 +14,35 @@ use std::collections::HashMap;
 /// an f32 normal there.
 const SINGULAR: f64 = 1e-14;
 
-/// Absolute world bounds of all placements, around transformed boxes of control points; `min > max` when empty.
-pub(super) fn bounds(
-    raw: &RawStage,
-    occurrences: &[Occurrence],
-    placements: &[Placement],
-) -> (DVec3, DVec3) {
-    let mut boxes: HashMap<usize, (DVec3, DVec3)> = HashMap::new();
-    let mut all = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for placement in placements {
-        let prim = occurrences[placement.occurrence].prim;
-        let (min, max) = *boxes.entry(prim).or_insert_with(|| object_box(raw, prim));
+/// Distances beyond this, stage units, cannot be worked with: products of four of them are no f32 any more.
+pub(super) const LARGEST_DISTANCE: f64 = 1e9;
+
+/// Boxes around prims' control points.
+pub(super) struct Boxes<'a> {
+    raw: &'a RawStage,
+    occurrences: &'a [Occurrence],
+    of_prim: HashMap<usize, (DVec3, DVec3)>,
+}
+
+impl<'a> Boxes<'a> {
+    pub(super) fn new(raw: &'a RawStage, occurrences: &'a [Occurrence]) -> Self {
+        Self {
+            raw,
+            occurrences,
+            of_prim: HashMap::new(),
+        }
+    }
+
+    /// Absolute world bounds of `placement`, around its transformed box; `min > max` when empty. Not finite where the
+    /// control points or the transform are not.
+    pub(super) fn world(&mut self, placement: &Placement) -> (DVec3, DVec3) {
+        let prim = self.occurrences[placement.occurrence].prim;
+        let raw = self.raw;
+        let of_prim = self.of_prim.entry(prim);
+        let (min, max) = *of_prim.or_insert_with(|| object_box(raw, prim));
+        let mut all = NO_BOUNDS;
         if min.cmpgt(max).any() {
-            continue;
+            return all;
         }
         for corner in 0..8 {
             let pick = |axis: usize| {
@@ -38,11 +54,56 @@ pub(super) fn bounds(
             };
             let local = DVec3::new(pick(0), pick(1), pick(2));
             let point = placement.world_from_object.transform_point3(local);
+            if point.is_nan() {
+                return (DVec3::NAN, DVec3::NAN);
+            }
             all = (all.0.min(point), all.1.max(point));
         }
+        all
     }
-    all
+
+    /// Leave out what is drawn too far from what lies nearest to zero, or nowhere; `tell` hears of each. Control
+    /// points that are not finite are not judged here. Returns the bounds of the rest.
+    pub(super) fn keep_within_reach(
+        &mut self,
+        placements: &mut Vec<Placement>,
+        tell: impl Fn(&Placement),
+    ) -> (DVec3, DVec3) {
+        let mut boxes: Vec<_> = placements.iter().map(|p| self.world(p)).collect();
+        let centers = boxes.iter().map(|(min, max)| 0.5 * min + 0.5 * max);
+        let sound = centers.filter(|center| center.is_finite());
+        let size = |center: &DVec3| center.abs().max_element();
+        let nearest = sound.min_by(|a, b| size(a).total_cmp(&size(b)));
+        let nearest = nearest.unwrap_or_default();
+        let mut kept = Vec::with_capacity(boxes.len());
+        for (placement, &(min, max)) in placements.iter().zip(&boxes) {
+            let reach = (min - nearest).abs().max((max - nearest).abs());
+            let is_within = reach.max_element() <= LARGEST_DISTANCE && !reach.is_nan();
+            let is_kept = is_within || !self.has_sound_box(placement);
+            if !is_kept {
+                tell(placement);
+            }
+            kept.push(is_kept);
+        }
+        let mut next = kept.iter();
+        placements.retain(|_| next.next() == Some(&true));
+        let mut next = kept.iter();
+        boxes.retain(|_| next.next() == Some(&true));
+        boxes.iter().fold(NO_BOUNDS, |all, (min, max)| {
+            (all.0.min(*min), all.1.max(*max))
+        })
+    }
+
+    /// True if control points and their number make a box.
+    fn has_sound_box(&self, placement: &Placement) -> bool {
+        let prim = self.occurrences[placement.occurrence].prim;
+        let of_prim = self.of_prim.get(&prim);
+        of_prim.is_some_and(|(min, max)| min.is_finite() && max.is_finite())
+    }
 }
+
+/// Bounds of nothing.
+const NO_BOUNDS: (DVec3, DVec3) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
 
 fn object_box(raw: &RawStage, prim: usize) -> (DVec3, DVec3) {
     let prim = &raw.prims[prim];
