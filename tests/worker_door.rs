@@ -340,7 +340,18 @@ fn samples_interpolate_at_fractional_times_and_are_no_default() {
     assert_eq!(at(None), None, "the fallback of the schema is not authored");
     let stage = source.load(&everything(None), &diagnostics).expect("loads");
     assert!(stage.meta.start_time_code.is_none() && stage.meta.up_axis.is_none());
-    assert!(!prim(&stage, "/s").attributes["one"].varying);
+    let unread = &prim(&stage, "/s").attributes["one"];
+    assert!(
+        unread.varying && unread.value.is_none(),
+        "its sample is told of"
+    );
+    let read = source
+        .load(&everything(Some(1.0)), &diagnostics)
+        .expect("loads");
+    assert!(
+        !prim(&read, "/s").attributes["one"].varying,
+        "one sample is the same at all times"
+    );
 }
 
 const INSTANCES: &str = r#"

@@ -246,7 +246,7 @@ pub struct RawAttribute {
     pub color_space: Option<String>,
     /// Connection targets.
     pub connections: Vec<String>,
-    /// More than one time sample (or clips).
+    /// More than one time sample (or clips); or time samples and no value at the requested time.
     pub varying: bool,
 }
 

@@ -283,6 +283,7 @@ impl<'a> Properties<'a> {
                 return Ok(());
             }
         }
+        attribute.varying |= decided;
         Ok(())
     }
 

@@ -5,7 +5,7 @@ pub mod geometry;
 pub mod look;
 pub mod xform;
 
-use super::raw::{RawMeta, RawStage};
+use super::raw::{RawAttribute, RawMeta, RawPrim, RawStage};
 use super::{Error, ReadSettings};
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Scene, StageInfo, UpAxis};
@@ -24,6 +24,9 @@ pub fn scene(
     settings: &ReadSettings,
     diagnostics: &Diagnostics,
 ) -> Result<Scene, Error> {
+    if settings.time.is_none() {
+        warn_of_unread_samples(raw, diagnostics);
+    }
     let occurrences = flatten::flatten(raw, settings, diagnostics);
     let layout = geometry::lay_out(raw, &occurrences, settings, diagnostics)?;
     let look = look::resolve(raw, &occurrences, layout.origin(), settings, diagnostics);
@@ -39,6 +42,33 @@ pub fn scene(
         cameras: look.cameras,
         render_settings: look.render_settings,
     })
+}
+
+/// Who forgets `--frames` gets an animated stage without what moves: as USD's default time has it, but not in silence.
+fn warn_of_unread_samples(raw: &RawStage, diagnostics: &Diagnostics) {
+    let unread = |prim: &RawPrim| {
+        let attributes = prim.attributes.iter();
+        let is_unread = |(name, attribute): &(&String, &RawAttribute)| {
+            attribute.varying && attribute.value.is_none() && *name != "extent"
+        };
+        attributes.filter(is_unread).count()
+    };
+    let found = raw.prims.iter().map(|prim| (prim, unread(prim)));
+    let found: Vec<_> = found.filter(|(_, count)| *count > 0).collect();
+    let Some((first, _)) = found.first() else {
+        return;
+    };
+    let count: usize = found.iter().map(|(_, count)| count).sum();
+    let prims = found.len();
+    let start = raw.meta.start_time_code.unwrap_or(1.0);
+    diagnostics.warn(
+        "time-samples",
+        first.path.clone(),
+        format!(
+            "{count} attributes of {prims} prims, this one first, have time samples only and no value at the default \
+             time; they count as not authored: --frames {start} reads them"
+        ),
+    );
 }
 
 fn stage_info(meta: &RawMeta, time: Option<f64>, diagnostics: &Diagnostics) -> StageInfo {

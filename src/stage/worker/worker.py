@@ -301,6 +301,8 @@ class Loader:
             value = self.value(attribute, type_name.isArray)
             if value is not None:
                 entry["value"] = value
+            elif attribute.GetNumTimeSamples():
+                entry["varying"] = True
         return entry
 
     def value(self, attribute, is_array):
