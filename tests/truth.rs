@@ -134,13 +134,13 @@ for prim in stage.Traverse():
     values = UsdGeom.PrimvarsAPI(prim).GetPrimvar('irradiance')
     if values and values.HasValue():
         errors.append(np.array(values.Get()).ravel() / want - 1)
-print(np.sqrt((np.concatenate(errors)**2).mean()))";
+print(np.abs(np.concatenate(errors)).max())";
     let error: f64 = run_python(script, &[&baked.stage])
         .trim()
         .parse()
         .expect("a number");
-    println!("  furnace: relRMSE {error}");
-    assert!(error > 0.0 && error <= 0.01, "{error}");
+    println!("  furnace: largest error of all points {error}");
+    assert!(error > 0.0 && error <= 1e-3, "{error}");
 }
 
 #[test]
