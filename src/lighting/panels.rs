@@ -106,7 +106,6 @@ impl Panel {
     ///
     /// The pattern is laid over the whole panel, however it is cut into triangles: choosing triangles by one side of
     /// the square would pick whole columns of a regular grid of triangles and nothing else.
-    #[expect(clippy::cast_possible_truncation, reason = "f64 to f32")]
     pub(super) fn place(&self, index: usize, square: Vec2) -> Option<Vec3> {
         if self.rectangle.fill < LEAST_FILL {
             return Some(self.place_in_triangle(index, square));
