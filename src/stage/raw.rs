@@ -220,6 +220,17 @@ pub struct RawPrim {
     pub relationships: BTreeMap<String, RawRelationship>,
     /// Names of further authored attributes that the request did not want.
     pub unread: Vec<String>,
+    /// MaterialX documents that the prim references, strongest first.
+    pub materialx: Vec<MaterialxReference>,
+}
+
+/// A reference to a MaterialX document, which takes a plug-in to compose.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct MaterialxReference {
+    /// The document, absolute where it was found.
+    pub file: std::path::PathBuf,
+    /// Prim path that USD's plug-in gives what is referenced (`/MaterialX/Materials/Wood`); empty = the whole.
+    pub target: String,
 }
 
 /// A relationship.
