@@ -220,6 +220,8 @@ pub struct RawPrim {
     pub relationships: BTreeMap<String, RawRelationship>,
     /// Names of further authored attributes that the request did not want.
     pub unread: Vec<String>,
+    /// `inactiveIds` metadata of a PointInstancer, composed: points that are not drawn.
+    pub inactive_ids: Vec<i64>,
     /// MaterialX documents that the prim references, strongest first.
     pub materialx: Vec<MaterialxReference>,
 }

@@ -115,6 +115,30 @@ impl Sites {
         Ok(found)
     }
 
+    /// `inactiveIds`, every site's edits applied to those of the weaker ones.
+    pub(super) fn inactive_ids(&self, stage: &Stage) -> Result<Vec<i64>, Fault> {
+        let mut edits = Vec::new();
+        for opinions in self.borrow(stage) {
+            let value = opinions.field(&opinions.site.path, "inactiveIds")?;
+            match value.as_deref() {
+                Some(sdf::Value::Int64ListOp(edit)) => edits.push(edit.clone()),
+                // what the crate's parser of text makes of a plain list
+                Some(sdf::Value::Int64Vec(ids)) => {
+                    edits.push(sdf::Int64ListOp::explicit(ids.iter().copied()));
+                }
+                Some(_) => {
+                    return Err(Fault::new(
+                        &opinions.site.layer,
+                        "inactiveIds is no list of integers",
+                    ));
+                }
+                None => {}
+            }
+        }
+        let weakest_first = edits.iter().rev();
+        Ok(weakest_first.fold(Vec::new(), |ids, edit| edit.compose_over(&ids)))
+    }
+
     /// True if any site has `field`.
     pub(super) fn has_prim_field(&self, stage: &Stage, field: &str) -> bool {
         self.borrow(stage)

@@ -172,6 +172,9 @@ impl<'a> Traversal<'a> {
             .prim_text(sites, FieldKey::TypeName)?
             .unwrap_or_default();
         prim.kind = self.prim_text(sites, FieldKey::Kind)?;
+        if prim.type_name == "PointInstancer" {
+            prim.inactive_ids = sites.inactive_ids(self.stage)?;
+        }
         prim.materialx = sites.materialx(self.stage, self.files)?;
         self.properties.read(&next.path, sites, clips, &mut prim)?;
         Ok(prim)

@@ -50,6 +50,8 @@ struct Prim {
     relationships: BTreeMap<String, (Vec<String>, Option<String>)>,
     #[serde(default)]
     unread: Vec<String>,
+    #[serde(default)]
+    inactive_ids: Vec<i64>,
     /// Files and targets.
     #[serde(default)]
     materialx: Vec<(PathBuf, String)>,
@@ -164,6 +166,7 @@ impl Prim {
             kind: self.kind,
             relationships: self.relationships.into_iter().map(relationship).collect(),
             unread: self.unread,
+            inactive_ids: self.inactive_ids,
             materialx: (self.materialx.into_iter())
                 .map(|(file, target)| MaterialxReference { file, target })
                 .collect(),

@@ -253,6 +253,9 @@ class Loader:
             documents = self.materialx_entry(prim)
             if documents:
                 entry["materialx"] = documents
+        inactive = prim.GetMetadata("inactiveIds") if prim.GetTypeName() == "PointInstancer" else None
+        if inactive:
+            entry["inactive_ids"] = list(inactive.GetAddedOrExplicitItems())
         attributes, relationships, unread = {}, {}, []
         for item in prim.GetAuthoredProperties():
             name = item.GetName()
