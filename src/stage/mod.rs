@@ -150,6 +150,7 @@ pub fn read(
         true => materialx::graft(raw, diagnostics),
         false => raw,
     };
+    let raw = passes::skinning::pose(raw, diagnostics);
     passes::scene(&raw, settings, diagnostics)
 }
 

@@ -167,6 +167,7 @@ impl Prim {
             relationships: self.relationships.into_iter().map(relationship).collect(),
             unread: self.unread,
             inactive_ids: self.inactive_ids,
+            is_posed: false,
             materialx: (self.materialx.into_iter())
                 .map(|(file, target)| MaterialxReference { file, target })
                 .collect(),
