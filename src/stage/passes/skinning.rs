@@ -202,7 +202,7 @@ impl<'a> Posing<'a> {
         } else {
             width.checked_mul(point_count)?
         };
-        let fits = indices.len() == expected && weights.len() == expected;
+        let fits = width > 0 && indices.len() == expected && weights.len() == expected;
         fits.then_some(Influences {
             joints,
             indices,
@@ -412,5 +412,111 @@ fn matrices<'a>(prim: &'a RawPrim, name: &str) -> Option<&'a [DMat4]> {
     match value(prim, name)? {
         Value::MatrixArray(matrices) => Some(matrices),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stage::raw::RawRelationship;
+
+    fn prim(
+        path: &str,
+        type_name: &str,
+        parent: Option<usize>,
+        values: &[(&str, Value)],
+    ) -> RawPrim {
+        let attribute = |(name, value): &(&str, Value)| {
+            let attribute = RawAttribute {
+                value: Some(value.clone()),
+                interpolation: Some("vertex".to_owned()),
+                ..RawAttribute::default()
+            };
+            ((*name).to_owned(), attribute)
+        };
+        RawPrim {
+            path: path.to_owned(),
+            type_name: type_name.to_owned(),
+            parent,
+            attributes: values.iter().map(attribute).collect(),
+            ..RawPrim::default()
+        }
+    }
+
+    /// Two points on one joint that rests a unit above where it was bound.
+    fn stage(indices: &[i32], weights: &[f32]) -> RawStage {
+        let lifted = DMat4::from_translation(DVec3::Y);
+        let skeleton = [
+            ("joints", Value::TokenArray(vec!["a".to_owned()])),
+            ("bindTransforms", Value::MatrixArray(vec![DMat4::IDENTITY])),
+            ("restTransforms", Value::MatrixArray(vec![lifted])),
+        ];
+        let mesh = [
+            ("points", Value::Vec3Array(vec![Vec3::ZERO, Vec3::X])),
+            (
+                "primvars:skel:jointIndices",
+                Value::IntArray(indices.to_vec()),
+            ),
+            (
+                "primvars:skel:jointWeights",
+                Value::FloatArray(weights.to_vec()),
+            ),
+        ];
+        let mut mesh = prim("/r/m", "Mesh", Some(0), &mesh);
+        mesh.api_schemas.push("SkelBindingAPI".to_owned());
+        let targets = vec!["/r/s".to_owned()];
+        let skeleton_of = RawRelationship {
+            targets,
+            bind_material_as: None,
+        };
+        mesh.relationships
+            .insert("skel:skeleton".to_owned(), skeleton_of);
+        let root = prim("/r", "SkelRoot", None, &[]);
+        let prims = vec![root, prim("/r/s", "Skeleton", Some(0), &skeleton), mesh];
+        RawStage {
+            prototype_start: prims.len(),
+            prims,
+            ..RawStage::default()
+        }
+    }
+
+    fn posed(stage: RawStage) -> Option<Vec<Vec3>> {
+        let posed = pose(stage, &Diagnostics::default());
+        let mesh = &posed.prims[2];
+        mesh.is_posed
+            .then(|| vectors(mesh, "points").unwrap().to_vec())
+    }
+
+    #[test]
+    fn points_follow_the_joint_from_where_it_was_bound() {
+        assert_eq!(
+            posed(stage(&[0, 0], &[1.0, 1.0])),
+            Some(vec![Vec3::Y, Vec3::X + Vec3::Y])
+        );
+        // Joints that do not exist have no say.
+        assert_eq!(
+            posed(stage(&[0, 7], &[1.0, 1.0])),
+            Some(vec![Vec3::Y, Vec3::ZERO])
+        );
+        assert_eq!(
+            posed(stage(&[0, -1], &[1.0, 1.0])),
+            Some(vec![Vec3::Y, Vec3::ZERO])
+        );
+    }
+
+    #[test]
+    fn arrays_that_do_not_fit_leave_the_mesh_as_authored() {
+        assert_eq!(posed(stage(&[0], &[1.0])), None);
+        assert_eq!(posed(stage(&[0, 0], &[1.0])), None);
+        assert_eq!(posed(stage(&[0, 0], &[1.0, f32::NAN])), None);
+        let mut without = stage(&[], &[]);
+        let indices = without.prims[2]
+            .attributes
+            .get_mut("primvars:skel:jointIndices");
+        indices.unwrap().interpolation = None;
+        assert_eq!(posed(without), None);
+        let mut flat = stage(&[0, 0], &[1.0, 1.0]);
+        flat.prims[1].attributes.remove("restTransforms");
+        assert_eq!(posed(flat), None);
     }
 }
