@@ -168,6 +168,27 @@ impl Tracer {
         hit
     }
 
+    /// [`Self::occluded`] for up to 64 rays of one unit `direction`: bit i of the result is set where bit i of `active` is
+    /// and the ray from `origins[i]` is blocked closer than `max_distance`.
+    ///
+    /// # Panics
+    /// With more than 64 origins.
+    pub fn occluded_along(
+        &self,
+        direction: Vec3,
+        origins: &[Vec3],
+        max_distance: f32,
+        active: u64,
+    ) -> u64 {
+        assert!(origins.len() <= 64, "a packet holds at most 64 rays");
+        dispatch!(self.level, _simd => {
+            let is_blocked = |&(i, &origin): &(usize, &Vec3)| {
+                active >> i & 1 == 1 && self.find_any(origin, direction, max_distance)
+            };
+            (origins.iter().enumerate().filter(is_blocked)).fold(0, |mask, (i, _)| mask | 1 << i)
+        })
+    }
+
     /// `position` lifted off its surface along the unit `geometric_normal` just enough that rays do not meet the
     /// surface itself: relative to the magnitude of the coordinates and the scene, far below 1e-4 of its size.
     pub fn lift(&self, position: Vec3, geometric_normal: Vec3) -> Vec3 {

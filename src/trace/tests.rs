@@ -399,3 +399,27 @@ fn every_instruction_set_gives_the_bits_of_the_scalar_definition() {
         assert!(hits > 500);
     }
 }
+
+#[test]
+fn packets_give_the_verdicts_of_their_rays() {
+    let mut random = Random(78);
+    let triangles = soup(500, 0.2, &mut random);
+    let tracer = single(&triangles);
+    let mut blocked = 0;
+    for count in [0, 1, 7, 16, 17, 63, 64].repeat(10) {
+        let (direction, center) = (random.direction(), random.vector());
+        let origins: Vec<_> = (0..count).map(|_| center + 0.2 * random.vector()).collect();
+        let active = (random.next() * u64::MAX as f32) as u64;
+        for max_distance in [0.3, f32::INFINITY] {
+            let mask = tracer.occluded_along(direction, &origins, max_distance, active);
+            for (i, &origin) in origins.iter().enumerate() {
+                let is_active = active >> i & 1 == 1;
+                let truth = is_active && tracer.occluded(origin, direction, max_distance);
+                assert_eq!(mask >> i & 1 == 1, truth);
+            }
+            assert!(count == 64 || mask >> count == 0);
+            blocked += mask.count_ones();
+        }
+    }
+    assert!(blocked > 100);
+}
