@@ -226,6 +226,15 @@ fn both_parts_of_the_set_hold_the_whole_sky() {
         let error = (sum - exact).length() / exact.length();
         assert!(error < 1e-4, "{axis}: {sum} {exact}");
     }
+    let (points, tracer) = (in_the_open(50), Tracer::new(&scene));
+    let whole = lighting.environment_of(&tracer, &points);
+    let sharp = lighting.environment_importance_of(&tracer, &points);
+    for (point, (whole, sharp)) in points.iter().zip(whole.iter().zip(sharp)) {
+        let even = set.even().iter().map(|cell| cell.irradiance(point.normal));
+        let sum = sharp.irradiance + even.sum::<Vec3>();
+        let error = (sum - whole.irradiance).abs().max_element();
+        assert!(error < 1e-5 * sum.max_element(), "{sum} {whole:?}");
+    }
 }
 
 #[test]

@@ -6,8 +6,8 @@ mod place;
 mod set;
 mod texels;
 
-pub(super) use block::MOST;
 pub use block::SkyLight;
+pub(super) use block::{MOST, light};
 pub use set::{EnvironmentCell, EnvironmentSet};
 
 use super::pictures;
@@ -94,7 +94,7 @@ impl Environment {
 
     /// The same at each of `stands`, at most 64, which look along every direction together.
     pub(super) fn block(&self, set: &EnvironmentSet, stands: &[Stand<'_>]) -> Vec<SkyLight> {
-        let light = block::light(set.cells(), stands);
+        let light = light(set.cells(), stands);
         let corrected =
             |(light, stand): (SkyLight, &Stand<'_>)| self.corrected(set, stand.point.normal, light);
         light.into_iter().zip(stands).map(corrected).collect()

@@ -210,13 +210,19 @@ impl Lighting {
     /// [`Self::environment`], and the direction it comes from, at each of `points`; faster where neighbors follow each
     /// other, since they look along each direction together.
     pub fn environment_of(&self, tracer: &Tracer, points: &[ShadePoint]) -> Vec<SkyLight> {
-        let block = |points: &[ShadePoint]| {
-            let stands: Vec<_> = (points.iter())
-                .map(|point| Stand::new(tracer, point))
-                .collect();
-            self.environment.block(&self.fine.sky, &stands)
-        };
-        points.chunks(environment::MOST).flat_map(block).collect()
+        let set = &self.fine.sky;
+        in_blocks(tracer, points, |stands| self.environment.block(set, stands))
+    }
+
+    /// Of [`Self::environment_of`] only what comes from [`EnvironmentSet::importance`]: for engines that see the even
+    /// part in another way. Black under an even sky, which has no such part.
+    pub fn environment_importance_of(
+        &self,
+        tracer: &Tracer,
+        points: &[ShadePoint],
+    ) -> Vec<SkyLight> {
+        let cells = self.fine.sky.importance();
+        in_blocks(tracer, points, |stands| environment::light(cells, stands))
     }
 
     /// The directions that all receivers look at the environment along; empty without domes.
@@ -286,6 +292,21 @@ impl Lighting {
         }
         (self.emitters).irradiance(&detail.emitters, shader, stand)
     }
+}
+
+/// `work` on as many receivers at a time as can look together.
+fn in_blocks(
+    tracer: &Tracer,
+    points: &[ShadePoint],
+    work: impl Fn(&[Stand<'_>]) -> Vec<SkyLight>,
+) -> Vec<SkyLight> {
+    let block = |points: &[ShadePoint]| {
+        let stands: Vec<_> = (points.iter())
+            .map(|point| Stand::new(tracer, point))
+            .collect();
+        work(&stands)
+    };
+    points.chunks(environment::MOST).flat_map(block).collect()
 }
 
 /// A [`Lighting`] sampled as coarsely as surfels allow. Its methods are those of the same names there.

@@ -49,6 +49,12 @@ impl EnvironmentCell {
         self.moments
     }
 
+    /// Irradiance of a receiver with unit `normal` if nothing blocks the cell, radiance·sr.
+    pub fn irradiance(&self, normal: Vec3) -> Vec3 {
+        self.arrival(normal)
+            .map_or(Vec3::ZERO, |arrival| arrival.irradiance)
+    }
+
     /// Light for a receiver with unit `normal`; `None` if the cell is below its horizon. A cell across the horizon counts
     /// with its upper part, as if its light were spread evenly over its width.
     pub(in crate::lighting) fn arrival(&self, normal: Vec3) -> Option<Arrival> {
