@@ -5,18 +5,19 @@
 //! over lanes; the whole search is compiled once for every instruction set and the widest one that the machine has is
 //! taken. No operation is fused or reordered, so that the results are the same bits on all of them.
 
+mod packet;
 mod ray;
 mod triangles;
 mod wide;
 
 use crate::math::Bounds3;
 use crate::scene::{Mesh, PrimId, Scene};
-use fearless_simd::{Level, dispatch};
+use fearless_simd::{Level, Simd, dispatch};
 use glam::{Affine3A, Vec3};
 use ray::Ray;
 use rayon::prelude::*;
-use triangles::Triangles;
-use wide::{Item, LEAF_SIZE, Wide};
+use triangles::{LocalHit, Triangles};
+use wide::{Item, LEAF_SIZE, Leaf, Wide};
 
 /// Where a ray meets the scene first.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,7 +65,8 @@ struct Occurrence {
     prim: PrimId,
     /// Index into `Tracer::shared`.
     mesh: usize,
-    object_from_world: Affine3A,
+    /// Rows: factors of x, y and z, and the offset.
+    object_from_world: [[f32; 4]; 3],
 }
 
 /// Lifting height over the magnitude of the coordinates: 8 times the rounding of a position that was interpolated
@@ -110,61 +112,71 @@ impl Tracer {
         }
     }
 
-    /// First hit along the unit `direction` with distance in (0, `max_distance`). None if a number is not finite
+    /// First hit along the unit `direction` with distance in (0, `max_distance`); of several at the same distance that of
+    /// the first prim and its first triangle. None if a number is not finite
     /// (`max_distance` may be infinite).
     pub fn closest(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Hit> {
-        dispatch!(self.level, _simd => self.find_closest(origin, direction, max_distance))
+        dispatch!(self.level, simd => self.find_closest(simd, origin, direction, max_distance))
     }
 
-    /// The scalar definition of [`Self::closest`].
     #[inline(always)]
-    fn find_closest(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Hit> {
+    fn find_closest<S: Simd>(
+        &self,
+        simd: S,
+        origin: Vec3,
+        direction: Vec3,
+        max_distance: f32,
+    ) -> Option<Hit> {
         let mut ray = Ray::new(origin, direction, max_distance)?;
-        let mut best = self.world.closest(&mut ray);
-        self.top.traverse(&mut ray, |block, ray| {
-            for occurrence in self.block(block) {
-                let Some(mut local) = occurrence.local(ray) else {
-                    continue;
-                };
-                if let Some(hit) = self.shared[occurrence.mesh].closest(&mut local) {
-                    ray.max_distance = hit.distance;
-                    best = Some(Hit {
-                        distance: hit.distance,
-                        prim: occurrence.prim,
-                        triangle: hit.triangle,
-                        u: hit.u,
-                        v: hit.v,
-                        front: hit.front,
-                    });
+        let mut best = self.world.closest(simd, &mut ray);
+        self.top.traverse(
+            simd,
+            &mut ray,
+            #[inline(always)]
+            |leaf, ray| {
+                for occurrence in self.occurrences_of(leaf) {
+                    let Some(mut local) = occurrence.local(ray) else {
+                        continue;
+                    };
+                    local.before = occurrence.before(best.map_or(0, |hit| hit.prim.0));
+                    if let Some(hit) = self.shared[occurrence.mesh].closest(simd, &mut local) {
+                        ray.max_distance = hit.distance;
+                        best = Some(hit.of_prim(occurrence.prim, hit.triangle));
+                    }
                 }
-            }
-            false
-        });
+                false
+            },
+        );
         best
     }
 
     /// True if anything lies along the unit `direction` closer than `max_distance`.
     pub fn occluded(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> bool {
-        dispatch!(self.level, _simd => self.find_any(origin, direction, max_distance))
+        dispatch!(self.level, simd => self.find_any(simd, origin, direction, max_distance))
     }
 
-    /// The scalar definition of [`Self::occluded`].
     #[inline(always)]
-    fn find_any(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> bool {
+    fn find_any<S: Simd>(&self, simd: S, origin: Vec3, direction: Vec3, max_distance: f32) -> bool {
         let Some(mut ray) = Ray::new(origin, direction, max_distance) else {
             return false;
         };
-        if self.world.triangles.occluded(&mut ray) {
+        if self.world.triangles.occluded(simd, &mut ray) {
             return true;
         }
         let mut hit = false;
-        self.top.traverse(&mut ray, |block, ray| {
-            hit = self.block(block).any(|occurrence| {
-                (occurrence.local(ray))
-                    .is_some_and(|mut local| self.shared[occurrence.mesh].occluded(&mut local))
-            });
-            hit
-        });
+        self.top.traverse(
+            simd,
+            &mut ray,
+            #[inline(always)]
+            |leaf, ray| {
+                for occurrence in self.occurrences_of(leaf) {
+                    if let Some(mut local) = occurrence.local(ray) {
+                        hit |= self.shared[occurrence.mesh].occluded(simd, &mut local);
+                    }
+                }
+                hit
+            },
+        );
         hit
     }
 
@@ -191,10 +203,10 @@ impl Tracer {
     }
 
     #[inline(always)]
-    fn block(&self, block: usize) -> impl Iterator<Item = &Occurrence> {
-        let first = block * LEAF_SIZE;
-        (self.top.order[first..first + LEAF_SIZE].iter())
-            .filter_map(|&index| self.occurrences.get(index as usize))
+    fn occurrences_of(&self, leaf: Leaf) -> impl Iterator<Item = &Occurrence> {
+        let first = leaf.block * LEAF_SIZE;
+        (self.top.order[first..first + leaf.count].iter())
+            .map(|&index| &self.occurrences[index as usize])
     }
 }
 
@@ -215,20 +227,32 @@ impl Group {
     }
 
     #[inline(always)]
-    fn closest(&self, ray: &mut Ray) -> Option<Hit> {
-        let hit = self.triangles.closest(ray)?;
-        let after = self
-            .firsts
-            .partition_point(|&(first, _)| first <= hit.triangle);
+    fn closest<S: Simd>(&self, simd: S, ray: &mut Ray) -> Option<Hit> {
+        self.triangles
+            .closest(simd, ray)
+            .map(|hit| self.resolve(hit))
+    }
+
+    /// The hit with its prim.
+    #[inline(always)]
+    fn resolve(&self, hit: LocalHit) -> Hit {
+        let after = (self.firsts).partition_point(|&(first, _)| first <= hit.triangle);
         let (first, prim) = self.firsts[after - 1];
-        Some(Hit {
-            distance: hit.distance,
+        hit.of_prim(prim, hit.triangle - first)
+    }
+}
+
+impl LocalHit {
+    #[inline(always)]
+    fn of_prim(&self, prim: PrimId, triangle: u32) -> Hit {
+        Hit {
+            distance: self.distance,
             prim,
-            triangle: hit.triangle - first,
-            u: hit.u,
-            v: hit.v,
-            front: hit.front,
-        })
+            triangle,
+            u: self.u,
+            v: self.v,
+            front: self.front,
+        }
     }
 }
 
@@ -236,11 +260,23 @@ impl Occurrence {
     /// The ray in object space; the direction keeps its image's length, so that distances stay world distances.
     #[inline(always)]
     fn local(&self, ray: &Ray) -> Option<Ray> {
-        Ray::new(
-            self.object_from_world.transform_point3(ray.origin),
-            self.object_from_world.transform_vector3(ray.direction),
-            ray.max_distance,
-        )
+        let origin = self.object_from_world.map(|[x, y, z, offset]| {
+            x * ray.origin.x + y * ray.origin.y + z * ray.origin.z + offset
+        });
+        let direction = self.local_direction(ray.line.direction);
+        Ray::new(Vec3::from(origin), direction, ray.max_distance)
+    }
+
+    #[inline(always)]
+    fn local_direction(&self, direction: Vec3) -> Vec3 {
+        let turn = |[x, y, z, _]: [f32; 4]| x * direction.x + y * direction.y + z * direction.z;
+        Vec3::from(self.object_from_world.map(turn))
+    }
+
+    /// As [`Ray::before`], for a ray whose nearest hit so far is of `prim`: prims that come first win ties.
+    #[inline(always)]
+    fn before(&self, prim: u32) -> u32 {
+        if self.prim.0 < prim { u32::MAX } else { 0 }
     }
 }
 
@@ -266,7 +302,7 @@ fn build_shared(scene: &Scene, prims: &[PrimId]) -> (Vec<Triangles>, Vec<Occurre
         occurrences.push(Occurrence {
             prim: id,
             mesh,
-            object_from_world,
+            object_from_world: rows_of(object_from_world),
         });
     }
     let build = |mesh: &crate::scene::MeshId| -> Triangles {
@@ -274,6 +310,11 @@ fn build_shared(scene: &Scene, prims: &[PrimId]) -> (Vec<Triangles>, Vec<Occurre
         Triangles::new(&corners)
     };
     (meshes.par_iter().map(build).collect(), occurrences)
+}
+
+fn rows_of(transform: Affine3A) -> [[f32; 4]; 3] {
+    let [x, y, z, offset] = transform.to_cols_array_2d();
+    [0, 1, 2].map(|i| [x[i], y[i], z[i], offset[i]])
 }
 
 /// World boxes of the occurrences, grown by the rounding of the transform.

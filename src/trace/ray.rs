@@ -1,35 +1,47 @@
-//! A ray with what boxes and triangles need of it, computed once.
+//! A direction and a ray along it: what boxes and triangles need of them, computed once.
+//!
+//! Boxes take distances along the three axes. Triangles are sheared: the axis in which the direction is longest stays,
+//! the other two slide so that the direction becomes that axis, and rays are points in two coordinates. Corners and
+//! origins are rounded relative to themselves then, which is no more than the rounding they came with.
 
 use glam::Vec3;
 
-/// A ray towards `direction` (of any length: distances count in it), ready for boxes and triangles.
+/// A direction (of any length: distances count in it), ready for boxes and triangles.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Ray {
-    pub(super) origin: Vec3,
+pub(super) struct Line {
     pub(super) direction: Vec3,
     /// Componentwise inverse of `direction`, finite.
     pub(super) inverse: [f32; 3],
     /// 1 where the direction's component is negative.
     pub(super) backward: [usize; 3],
-    /// Axes for the triangle test: the two lesser ones and the one in which the direction is longest.
+    /// Two lesser axes and the one in which the direction is longest; in an order that keeps triangles that face
+    /// against the direction counter-clockwise.
     pub(super) axes: [usize; 3],
-    /// Shears the direction onto that axis, and scales it to 1.
-    pub(super) shear: [f32; 3],
-    /// Hits at this distance or beyond do not count.
-    pub(super) max_distance: f32,
+    /// Depth is the coordinate of the longest axis times this, 1 or −1, so that it grows along the direction.
+    pub(super) sign: f32,
+    /// The lesser coordinates of the direction for a unit of depth, −1…1.
+    pub(super) slope: [f32; 2],
+    /// Distance for a unit of depth.
+    pub(super) scale: f32,
 }
 
 /// A component below this part of the longest one cannot cross a box in a lifetime of floats; it stands in for 0, whose
 /// inverse would make `0 · ∞`.
 const LEAST_COMPONENT: f32 = 1e-18;
 
-impl Ray {
-    /// `None` if a number is not finite, the direction is zero, or no distance is left (`max_distance` may be infinite).
+/// Of the largest coordinate of an origin: what boxes are too large for the roundings of its distances to them and of
+/// its sheared place, 1.5 ε each.
+pub(super) const ORIGIN_MARGIN: f32 = 4.0 * f32::EPSILON;
+
+/// Nine roundings lie between a corner and the distance of a hit and three in that of a box, half of ε each.
+pub(super) const FAR_MARGIN: f32 = 1.0 + 8.0 * f32::EPSILON;
+
+impl Line {
+    /// `None` if a number is not finite or the direction is zero.
     #[inline(always)]
-    pub(super) fn new(origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Self> {
+    pub(super) fn new(direction: Vec3) -> Option<Self> {
         let longest = direction.abs().max_element();
-        let is_valid = origin.is_finite() && direction.is_finite() && longest > 0.0;
-        if !is_valid || max_distance.is_nan() || max_distance <= 0.0 {
+        if !(direction.is_finite() && longest > 0.0) {
             return None;
         }
         let z = (0..3).find(|&axis| direction[axis].abs() == longest)?;
@@ -46,19 +58,72 @@ impl Ray {
             }
         };
         Some(Self {
-            origin,
             direction,
             inverse: direction.to_array().map(inverse),
             backward: direction
                 .to_array()
                 .map(|d| usize::from(d.is_sign_negative())),
             axes: [x, y, z],
-            shear: [
-                direction[x] / direction[z],
-                direction[y] / direction[z],
-                1.0 / direction[z],
-            ],
-            max_distance: max_distance.min(f32::MAX),
+            sign: 1.0_f32.copysign(direction[z]),
+            slope: [direction[x] / longest, direction[y] / longest],
+            scale: 1.0 / longest,
         })
+    }
+
+    /// Sheared coordinates and depth of `point`.
+    #[inline(always)]
+    pub(super) fn place(&self, point: Vec3) -> [f32; 3] {
+        let [x, y, z] = self.axes.map(|axis| point[axis]);
+        let depth = self.sign * z;
+        [x - self.slope[0] * depth, y - self.slope[1] * depth, depth]
+    }
+}
+
+/// A ray.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Ray {
+    pub(super) line: Line,
+    pub(super) origin: Vec3,
+    /// The origin as seen from the sides by which the ray enters boxes and by which it leaves them.
+    pub(super) enter: [f32; 3],
+    pub(super) leave: [f32; 3],
+    /// The origin, sheared.
+    pub(super) place: [f32; 3],
+    /// Hits beyond this distance do not count.
+    pub(super) max_distance: f32,
+    /// Of hits at `max_distance` those of triangles before this one count: ties are independent of the order of search.
+    pub(super) before: u32,
+}
+
+impl Ray {
+    /// `None` if a number is not finite, the direction is zero, or no distance is left (`max_distance` may be infinite).
+    #[inline(always)]
+    pub(super) fn new(origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Self> {
+        let line = Line::new(direction)?;
+        if !origin.is_finite() || max_distance.is_nan() || max_distance <= 0.0 {
+            return None;
+        }
+        let margin = ORIGIN_MARGIN * origin.abs().max_element();
+        let (mut enter, mut leave) = ([0.0; 3], [0.0; 3]);
+        for axis in 0..3 {
+            let ahead = margin.copysign(direction[axis]);
+            enter[axis] = origin[axis] + ahead;
+            leave[axis] = origin[axis] - ahead;
+        }
+        Some(Self {
+            line,
+            origin,
+            enter,
+            leave,
+            place: line.place(origin),
+            max_distance: max_distance.min(f32::MAX),
+            before: 0,
+        })
+    }
+
+    /// Boxes farther than this cannot hold anything that counts.
+    #[inline(always)]
+    pub(super) fn limit(&self) -> f32 {
+        self.max_distance * FAR_MARGIN
     }
 }

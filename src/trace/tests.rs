@@ -371,31 +371,201 @@ fn measure_rays_per_second() {
     }
 }
 
-#[test]
-fn every_instruction_set_gives_the_bits_of_the_scalar_definition() {
-    let mut random = Random(77);
-    let triangles: Vec<_> = (0..3000)
-        .map(|_| {
-            let center = random.vector();
-            [(); 3].map(|()| center + 0.1 * random.vector())
-        })
-        .collect();
-    let shared = Affine3A::from_rotation_y(0.3) * Affine3A::from_scale(Vec3::new(1.0, -2.0, 0.5));
-    let scene = scene(
-        vec![mesh(&triangles)],
-        &[(0, Affine3A::IDENTITY), (0, shared)],
-    );
-    let owned = single(&triangles);
-    for tracer in [&owned, &Tracer::new(&scene)] {
-        let mut hits = 0;
-        for _ in 0..2000 {
-            let (origin, direction) = (1.5 * random.vector(), random.direction());
-            let hit = tracer.closest(origin, direction, f32::INFINITY);
-            assert_eq!(hit, tracer.find_closest(origin, direction, f32::INFINITY));
-            let any = tracer.occluded(origin, direction, 1.0);
-            assert_eq!(any, tracer.find_any(origin, direction, 1.0));
-            hits += usize::from(hit.is_some());
+/// Prims that own their mesh, shared ones stretched and mirrored, triangles without area and coincident ones.
+fn mixed_scene(random: &mut Random) -> Scene {
+    let mut triangles = soup(400, 0.15, random);
+    for i in 0..40 {
+        let [a, b, _] = triangles[i];
+        triangles.extend([[a, a, b], [a, b, a.lerp(b, 0.3)], triangles[i + 40]]);
+    }
+    let own: Vec<_> = (0..5).map(|_| soup(60, 0.3, random)).collect();
+    let mut meshes = vec![mesh(&triangles)];
+    let mut prims = vec![(0, Affine3A::IDENTITY)];
+    for i in 0..12 {
+        let mut linear = Mat3::from_rotation_y(i as f32)
+            * Mat3::from_diagonal(Vec3::new(1.0, 0.2 + random.next(), 0.5));
+        if i % 2 == 0 {
+            linear.z_axis = -linear.z_axis;
         }
-        assert!(hits > 500);
+        prims.push((0, Affine3A::from_mat3_translation(linear, random.vector())));
+    }
+    // Coincident with the first occurrence.
+    prims.push(prims[1]);
+    for triangles in &own {
+        prims.push((meshes.len() as u32, Affine3A::IDENTITY));
+        meshes.push(mesh(triangles));
+    }
+    scene(meshes, &prims)
+}
+
+/// The definition: every triangle, no hierarchy. Prims with a transform of their own have it applied to the ray.
+fn brute_force(scene: &Scene, origin: Vec3, direction: Vec3) -> Option<Hit> {
+    let mut best: Option<Hit> = None;
+    for (prim, of) in (0..).map(PrimId).zip(&scene.prims) {
+        let mesh = scene.mesh_of(of);
+        let occurrence = Occurrence {
+            prim,
+            mesh: 0,
+            object_from_world: rows_of(of.world_from_object.inverse()),
+        };
+        let world = Ray::new(origin, direction, f32::INFINITY)?;
+        let ray = occurrence.local(&world)?;
+        for triangle in 0..mesh.triangles.len() {
+            let tracer = Triangles::single(mesh.corners(triangle), &ray);
+            if let Some(hit) = tracer.map(|hit| hit.of_prim(prim, triangle as u32))
+                && best.is_none_or(|best| hit.distance < best.distance)
+            {
+                best = Some(hit);
+            }
+        }
+    }
+    best
+}
+
+/// Origins next to each other and all over, directions along and between the axes.
+fn packets(random: &mut Random) -> Vec<(Vec3, Vec<Vec3>, u64)> {
+    (0..300)
+        .map(|k| {
+            let mut direction = random.direction();
+            if k % 5 == 0 {
+                direction[k % 3] = 0.0;
+                direction = direction.normalize();
+            }
+            if k % 11 == 0 {
+                direction = [Vec3::X, -Vec3::Y, Vec3::Z][k % 3];
+            }
+            let (center, size) = (random.vector(), [0.02, 0.2, 2.0][k % 3]);
+            let count = [0, 1, 7, 16, 17, 63, 64, 64][k % 8];
+            let origins = (0..count)
+                .map(|_| center + size * random.vector())
+                .collect();
+            let all = (random.next() * u32::MAX as f32) as u64;
+            (
+                direction,
+                origins,
+                if k % 4 == 0 {
+                    u64::MAX
+                } else {
+                    all << 20 ^ all
+                },
+            )
+        })
+        .collect()
+}
+
+#[test]
+fn packets_hit_what_their_rays_hit_to_the_last_bit() {
+    let mut random = Random(78);
+    let tracer = Tracer::new(&mixed_scene(&mut random));
+    let (mut blocked, mut found, mut hits) = (0, 0, [None; 64]);
+    for (direction, origins, active) in packets(&mut random) {
+        for max_distance in [0.3, f32::INFINITY] {
+            let mask = tracer.occluded_along(direction, &origins, max_distance, active);
+            tracer.closest_along(direction, &origins, (max_distance, active), &mut hits);
+            for (i, &origin) in origins.iter().enumerate() {
+                let is_active = active >> i & 1 == 1;
+                let any = is_active && tracer.occluded(origin, direction, max_distance);
+                assert_eq!(mask >> i & 1 == 1, any);
+                let closest = tracer.closest(origin, direction, max_distance);
+                assert_eq!(hits[i], closest.filter(|_| is_active));
+                assert_eq!(hits[i].is_some(), any);
+                found += usize::from(hits[i].is_some());
+            }
+            let given = (1_u128 << origins.len()) - 1;
+            assert_eq!(u128::from(mask) & !given, 0);
+            blocked += mask.count_ones();
+        }
+    }
+    assert!(blocked > 2000 && found > 2000, "{blocked} {found}");
+}
+
+#[test]
+fn the_hierarchy_finds_what_a_search_of_all_triangles_finds_to_the_last_bit() {
+    let mut random = Random(80);
+    let scene = mixed_scene(&mut random);
+    let tracer = Tracer::new(&scene);
+    let mut found = 0;
+    for (direction, origins, _) in packets(&mut random) {
+        for &origin in origins.iter().take(2) {
+            let truth = brute_force(&scene, origin, direction);
+            assert_eq!(tracer.closest(origin, direction, f32::INFINITY), truth);
+            found += usize::from(truth.is_some());
+        }
+    }
+    assert!(found > 200, "{found}");
+}
+
+#[test]
+fn every_instruction_set_gives_the_same_bits() {
+    let mut random = Random(77);
+    let mut tracer = Tracer::new(&mixed_scene(&mut random));
+    let best = tracer.level;
+    for (direction, origins, active) in packets(&mut random) {
+        let mut answers = [best, Level::baseline()].into_iter().map(|level| {
+            tracer.level = level;
+            let mut hits = [None; 64];
+            tracer.closest_along(direction, &origins, (1.0, active), &mut hits);
+            let mask = tracer.occluded_along(direction, &origins, 0.5, active);
+            let single = origins.first().map(|&o| tracer.closest(o, direction, 1.0));
+            (hits, mask, single)
+        });
+        assert_eq!(answers.next(), answers.next());
+    }
+}
+
+#[test]
+fn packets_that_are_not_numbers_hit_nothing_and_spoil_no_others() {
+    let tracer = single(&diced_box(2));
+    let origins = [Vec3::ZERO, Vec3::NAN, Vec3::INFINITY, Vec3::splat(0.5)];
+    let along = |direction, max| tracer.occluded_along(direction, &origins, max, u64::MAX);
+    assert_eq!(along(Vec3::X, f32::INFINITY), 0b1001);
+    assert_eq!(along(Vec3::X, 0.75), 0b1000);
+    for direction in [Vec3::NAN, Vec3::ZERO, Vec3::INFINITY] {
+        assert_eq!(along(direction, f32::INFINITY), 0);
+    }
+    for max_distance in [0.0, -1.0, f32::NAN] {
+        assert_eq!(along(Vec3::X, max_distance), 0);
+    }
+    let mut hits = [None; 64];
+    tracer.closest_along(Vec3::X, &origins, (2.0, u64::MAX), &mut hits);
+    assert!(hits[0].is_some_and(|hit| hit.distance == 1.0) && hits[1].is_none());
+    let empty = Tracer::new(&scene(Vec::new(), &[]));
+    assert_eq!(empty.occluded_along(Vec3::X, &origins, 1.0, u64::MAX), 0);
+}
+
+#[test]
+fn packets_do_not_leak_out_of_a_closed_box_through_edges_and_vertices() {
+    let mut random = Random(79);
+    let turned = Mat3::from_rotation_y(0.7) * Mat3::from_rotation_x(0.3);
+    for (matrix, offset) in [
+        (Mat3::IDENTITY, Vec3::ZERO),
+        (turned, Vec3::splat(0.3)),
+        (turned * 1e-4, Vec3::splat(1e-5)),
+        (turned, Vec3::new(40.0, -7.0, 90.0)),
+    ] {
+        let triangles: Vec<_> = (diced_box(7).iter())
+            .map(|t| t.map(|p| matrix * p + offset))
+            .collect();
+        let tracer = single(&triangles);
+        for _ in 0..5000 {
+            let direction = (matrix * random.direction()).normalize();
+            let (mut origins, mut hits) = (Vec::new(), [None; 64]);
+            while origins.len() < 64 {
+                let at = (random.next() * triangles.len() as f32) as usize % triangles.len();
+                let target = triangles[at][0].lerp(triangles[at][1], random.next().round());
+                let back = matrix.determinant().cbrt() * (0.01 + random.next());
+                let origin = target - direction * back;
+                let local = matrix.inverse() * (origin - offset);
+                if local.abs().max_element() < 0.99 {
+                    origins.push(origin);
+                } else {
+                    origins.push(matrix * (random.vector() * 0.99) + offset);
+                }
+            }
+            let mask = tracer.occluded_along(direction, &origins, f32::INFINITY, u64::MAX);
+            assert_eq!(mask, u64::MAX, "{direction}");
+            tracer.closest_along(direction, &origins, (f32::INFINITY, u64::MAX), &mut hits);
+            assert!(hits.iter().all(|hit| hit.is_some_and(|hit| !hit.front)));
+        }
     }
 }

@@ -1,26 +1,19 @@
-//! An eight-way bounding volume hierarchy: boxes to a tree (binned surface area heuristic), rays to leaves.
-//!
-//! Wald, *On fast Construction of SAH-based Bounding Volume Hierarchies* (2007); slabs made conservative as in
-//! Ize, *Robust BVH Ray Traversal* (2013). Binning centroids, unlike PLOC, keeps coplanar axis-aligned boxes compact,
-//! and no step uses an absolute tolerance.
+//! An eight-way bounding volume hierarchy, and rays through it to its leaves.
+
+mod boxes;
+mod build;
+mod packet;
 
 use super::ray::Ray;
 use crate::math::Bounds3;
-use glam::Vec3;
-use rayon::prelude::*;
+use fearless_simd::Simd;
+pub(super) use packet::{Column, LANES, PACKET_SIZE, Packet, ROWS, load, row_of};
 
 /// Most items of one leaf.
 pub(super) const LEAF_SIZE: usize = 4;
 const WIDTH: usize = 8;
-const BINS: usize = 16;
-/// Below this depth items are halved by count, which bounds the depth (and the stack) for any input.
-const MAX_SAH_DEPTH: usize = 16;
-/// `WIDTH - 1` entries a level: [`MAX_SAH_DEPTH`] levels and 11 that halve three times each (2^33 items).
-const STACK_SIZE: usize = (WIDTH - 1) * (MAX_SAH_DEPTH + 11) + 1;
-/// Subtrees of at least this many items are built in parallel.
-const PARALLEL_ITEMS: usize = 8192;
-/// Slab distances carry up to three roundings on each side (Ize 2013).
-const FAR_MARGIN: f32 = 1.0 + 4.0 * f32::EPSILON;
+/// `WIDTH - 1` entries a level: [`build::MAX_SAH_DEPTH`] levels and 11 that halve three times each (2^33 items).
+const STACK_SIZE: usize = (WIDTH - 1) * (build::MAX_SAH_DEPTH + 11) + 1;
 
 /// A box to be put into the tree.
 #[derive(Debug, Clone, Copy)]
@@ -31,15 +24,34 @@ pub(super) struct Item {
     pub(super) index: u32,
 }
 
-impl Item {
-    fn center(&self) -> Vec3 {
-        self.bounds.center()
-    }
-}
-
-/// Child references: inner node index, or `LEAF | first << 2 | count - 1`, or `EMPTY`.
+/// Child references: inner node index, or `LEAF | block << 2 | count - 1`, or `EMPTY`.
 const LEAF: u32 = 1 << 31;
 const EMPTY: u32 = u32::MAX >> 1;
+
+/// Of the `count` items at place `block * LEAF_SIZE`.
+const fn leaf_reference(block: u32, count: u32) -> u32 {
+    LEAF | (block << LEAF_SIZE.trailing_zeros()) | (count - 1)
+}
+
+/// Some items next to each other.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Leaf {
+    /// `block * LEAF_SIZE` is its place in [`Wide::order`].
+    pub(super) block: usize,
+    /// Its items, 1…[`LEAF_SIZE`].
+    pub(super) count: usize,
+}
+
+impl Leaf {
+    #[inline(always)]
+    const fn of(reference: u32) -> Self {
+        let place = (reference & !LEAF) as usize;
+        Self {
+            block: place / LEAF_SIZE,
+            count: place % LEAF_SIZE + 1,
+        }
+    }
+}
 
 #[derive(Debug, Clone, PartialEq)]
 struct Node {
@@ -56,41 +68,21 @@ pub(super) struct Wide {
     pub(super) order: Vec<u32>,
 }
 
-struct Subtree {
-    nodes: Vec<Node>,
-    /// Leaves' items, each leaf padded to [`LEAF_SIZE`] by `u32::MAX`.
-    order: Vec<u32>,
-}
-
 impl Wide {
-    /// Build over `items` (reordered on the way). The same tree for any number of threads.
-    ///
-    /// # Panics
-    /// With more than 2^29 items.
-    pub(super) fn build(mut items: Vec<Item>) -> Self {
-        assert!(
-            items.len() < 1 << 29,
-            "a hierarchy holds at most 2^29 items"
-        );
-        if items.is_empty() {
-            return Self::default();
-        }
-        let tree = build_node(&mut items, 0);
-        Self {
-            nodes: tree.nodes,
-            order: tree.order,
-        }
-    }
-
     /// Bytes held.
     pub(super) fn bytes(&self) -> usize {
         self.nodes.capacity() * size_of::<Node>() + self.order.capacity() * size_of::<u32>()
     }
 
-    /// Calls `leaf(block, ray)` for the leaves that `ray` may meet, nearest boxes first; `block * LEAF_SIZE` is the
-    /// leaf's place in `order`. `leaf` may shorten `ray.max_distance`; it returns true to end the search.
+    /// Calls `leaf` for the leaves that `ray` may meet, nearest boxes first. `leaf` may shorten the ray; it returns true
+    /// to end the search.
     #[inline(always)]
-    pub(super) fn traverse(&self, ray: &mut Ray, mut leaf: impl FnMut(usize, &mut Ray) -> bool) {
+    pub(super) fn traverse<S: Simd>(
+        &self,
+        simd: S,
+        ray: &mut Ray,
+        mut leaf: impl FnMut(Leaf, &mut Ray) -> bool,
+    ) {
         if self.nodes.is_empty() {
             return;
         }
@@ -99,269 +91,30 @@ impl Wide {
         while top > 0 {
             top -= 1;
             let (child, near) = stack[top];
-            if near > ray.max_distance {
+            if near > ray.limit() {
                 continue;
             }
             if child & LEAF != 0 {
-                if leaf((child & !LEAF) as usize, ray) {
+                if leaf(Leaf::of(child), ray) {
                     return;
                 }
                 continue;
             }
             let node = &self.nodes[child as usize];
-            let (near, hit) = node.intersect(ray);
+            let (near, mut children) = node.meet(simd, ray);
+            let near: [f32; WIDTH] = near.into();
             let first = top;
-            for lane in 0..WIDTH {
-                if hit[lane] {
-                    let mut at = top;
-                    while at > first && stack[at - 1].1 < near[lane] {
-                        stack[at] = stack[at - 1];
-                        at -= 1;
-                    }
-                    stack[at] = (node.children[lane], near[lane]);
-                    top += 1;
+            while children != 0 {
+                let child = children.trailing_zeros() as usize;
+                children &= children - 1;
+                let mut at = top;
+                while at > first && stack[at - 1].1 < near[child] {
+                    stack[at] = stack[at - 1];
+                    at -= 1;
                 }
+                stack[at] = (node.children[child], near[child]);
+                top += 1;
             }
         }
     }
-}
-
-impl Node {
-    #[inline(always)]
-    fn intersect(&self, ray: &Ray) -> ([f32; WIDTH], [bool; WIDTH]) {
-        let mut near = [0.0_f32; WIDTH];
-        let mut far = [ray.max_distance; WIDTH];
-        for axis in 0..3 {
-            let (origin, inverse) = (ray.origin[axis], ray.inverse[axis]);
-            let low = &self.slabs[axis][ray.backward[axis]];
-            let high = &self.slabs[axis][1 - ray.backward[axis]];
-            for lane in 0..WIDTH {
-                let enter = (low[lane] - origin) * inverse;
-                let leave = (high[lane] - origin) * inverse * FAR_MARGIN;
-                near[lane] = if enter > near[lane] {
-                    enter
-                } else {
-                    near[lane]
-                };
-                far[lane] = if leave < far[lane] { leave } else { far[lane] };
-            }
-        }
-        let mut hit = [false; WIDTH];
-        for lane in 0..WIDTH {
-            hit[lane] = near[lane] <= far[lane];
-        }
-        (near, hit)
-    }
-}
-
-fn build_node(items: &mut [Item], depth: usize) -> Subtree {
-    let ranges = split_into_children(items, depth);
-    let mut node = Node {
-        slabs: [[[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]]; 3],
-        children: [EMPTY; WIDTH],
-    };
-    let mut slices = Vec::with_capacity(WIDTH);
-    let mut rest = items;
-    for (lane, length) in ranges.into_iter().enumerate() {
-        let (slice, tail) = rest.split_at_mut(length);
-        rest = tail;
-        let bounds = bounds_of(slice);
-        for axis in 0..3 {
-            node.slabs[axis][0][lane] = bounds.min[axis];
-            node.slabs[axis][1][lane] = bounds.max[axis];
-        }
-        slices.push(slice);
-    }
-    let total: usize = slices.iter().map(|slice| slice.len()).sum();
-    let build = |slice: &mut &mut [Item]| -> Subtree {
-        if slice.len() <= LEAF_SIZE {
-            leaf(slice)
-        } else {
-            build_node(slice, depth + 1)
-        }
-    };
-    let subtrees: Vec<Subtree> = if total >= PARALLEL_ITEMS {
-        slices.par_iter_mut().map(build).collect()
-    } else {
-        slices.iter_mut().map(build).collect()
-    };
-    join(node, subtrees)
-}
-
-fn leaf(items: &[Item]) -> Subtree {
-    let mut order = vec![u32::MAX; LEAF_SIZE];
-    for (slot, item) in order.iter_mut().zip(items) {
-        *slot = item.index;
-    }
-    Subtree {
-        nodes: Vec::new(),
-        order,
-    }
-}
-
-/// Appends the subtrees below `node`, shifting their references.
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "counts are bounded by 2^29 items"
-)]
-fn join(node: Node, subtrees: Vec<Subtree>) -> Subtree {
-    let mut all = Subtree {
-        nodes: vec![node],
-        order: Vec::new(),
-    };
-    for (lane, subtree) in subtrees.into_iter().enumerate() {
-        let first_node = all.nodes.len() as u32;
-        let first_block = (all.order.len() / LEAF_SIZE) as u32;
-        all.nodes[0].children[lane] = if subtree.nodes.is_empty() {
-            LEAF | first_block
-        } else {
-            first_node
-        };
-        all.order.extend(subtree.order);
-        all.nodes.extend(subtree.nodes.into_iter().map(|mut node| {
-            for child in &mut node.children {
-                if *child & LEAF != 0 {
-                    *child += first_block;
-                } else if *child != EMPTY {
-                    *child += first_node;
-                }
-            }
-            node
-        }));
-    }
-    all
-}
-
-/// Reorders `items` into up to [`WIDTH`] runs, splitting the one of largest area again and again (far down: the longest,
-/// so that depth stays bounded); their lengths.
-fn split_into_children(items: &mut [Item], depth: usize) -> Vec<usize> {
-    let mut runs = vec![(0, items.len(), half_area(&bounds_of(items)))];
-    while runs.len() < WIDTH {
-        let widest = (0..runs.len())
-            .filter(|&i| runs[i].1 > LEAF_SIZE)
-            .max_by(|&a, &b| {
-                if depth < MAX_SAH_DEPTH {
-                    runs[a].2.total_cmp(&runs[b].2)
-                } else {
-                    runs[a].1.cmp(&runs[b].1)
-                }
-            });
-        let Some(widest) = widest else { break };
-        let (start, length, _) = runs[widest];
-        let slice = &mut items[start..start + length];
-        let left = split(slice, depth);
-        let (a, b) = slice.split_at(left);
-        let areas = (half_area(&bounds_of(a)), half_area(&bounds_of(b)));
-        runs[widest] = (start, left, areas.0);
-        runs.insert(widest + 1, (start + left, length - left, areas.1));
-    }
-    runs.into_iter().map(|(_, length, _)| length).collect()
-}
-
-/// Reorders `items` (at least two) into two runs; length of the first, never 0 or all.
-fn split(items: &mut [Item], depth: usize) -> usize {
-    let centers = Bounds3::around(items.iter().map(Item::center));
-    if depth < MAX_SAH_DEPTH
-        && let Some((axis, bin)) = best_split(items, &centers)
-    {
-        let left = partition(items, |item| bin_of(item.center(), &centers, axis) <= bin);
-        if left > 0 && left < items.len() {
-            return left;
-        }
-    }
-    let axis = longest_axis(&centers);
-    let middle = items.len() / 2;
-    items.select_nth_unstable_by(middle, |a, b| {
-        (a.center()[axis].total_cmp(&b.center()[axis])).then(a.index.cmp(&b.index))
-    });
-    middle
-}
-
-/// Axis and last bin of the left side of the cheapest split, if any separates the centers.
-fn best_split(items: &[Item], centers: &Bounds3) -> Option<(usize, usize)> {
-    let mut bins = [[(Bounds3::EMPTY, 0_usize); BINS]; 3];
-    for item in items {
-        let center = item.center();
-        for (axis, bins) in bins.iter_mut().enumerate() {
-            let bin = &mut bins[bin_of(center, centers, axis)];
-            *bin = (bin.0.union(item.bounds), bin.1 + 1);
-        }
-    }
-    let mut best = None;
-    let mut lowest = f32::INFINITY;
-    for (axis, bins) in bins.iter().enumerate() {
-        let mut right = [(Bounds3::EMPTY, 0); BINS];
-        let mut sum = (Bounds3::EMPTY, 0);
-        for bin in (1..BINS).rev() {
-            sum = (sum.0.union(bins[bin].0), sum.1 + bins[bin].1);
-            right[bin - 1] = sum;
-        }
-        let mut left = (Bounds3::EMPTY, 0);
-        for bin in 0..BINS - 1 {
-            left = (left.0.union(bins[bin].0), left.1 + bins[bin].1);
-            if left.1 > 0 && right[bin].1 > 0 {
-                let cost = cost_of(left) + cost_of(right[bin]);
-                if cost < lowest {
-                    lowest = cost;
-                    best = Some((axis, bin));
-                }
-            }
-        }
-    }
-    best
-}
-
-/// Leaves hold blocks of [`LEAF_SIZE`], so a started block costs as much as a full one.
-#[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
-fn cost_of((bounds, count): (Bounds3, usize)) -> f32 {
-    half_area(&bounds) * count.div_ceil(LEAF_SIZE) as f32
-}
-
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    clippy::cast_precision_loss,
-    reason = "clamped to the bins"
-)]
-fn bin_of(center: Vec3, centers: &Bounds3, axis: usize) -> usize {
-    let extent = centers.max[axis] - centers.min[axis];
-    if extent > 0.0 {
-        let place = (center[axis] - centers.min[axis]) / extent * BINS as f32;
-        (place.max(0.0) as usize).min(BINS - 1)
-    } else {
-        0
-    }
-}
-
-/// Stable two-sided partition in place would need memory; order within a side is fixed by the input all the same.
-fn partition(items: &mut [Item], is_left: impl Fn(&Item) -> bool) -> usize {
-    let mut left = 0;
-    for i in 0..items.len() {
-        if is_left(&items[i]) {
-            items.swap(left, i);
-            left += 1;
-        }
-    }
-    left
-}
-
-fn longest_axis(bounds: &Bounds3) -> usize {
-    let size = bounds.max - bounds.min;
-    (0..3)
-        .max_by(|&a, &b| size[a].total_cmp(&size[b]))
-        .expect("there are three axes")
-}
-
-fn bounds_of(items: &[Item]) -> Bounds3 {
-    items
-        .iter()
-        .fold(Bounds3::EMPTY, |all, item| all.union(item.bounds))
-}
-
-fn half_area(bounds: &Bounds3) -> f32 {
-    if bounds.is_empty() {
-        return 0.0;
-    }
-    let size = bounds.max - bounds.min;
-    size.x * size.y + size.y * size.z + size.z * size.x
 }
