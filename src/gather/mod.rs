@@ -4,6 +4,7 @@
 
 mod environment;
 pub mod estimate;
+mod neighbors;
 pub mod quantities;
 pub mod radiance;
 mod ray_query;
@@ -82,6 +83,12 @@ pub trait Engine: Sync + Debug {
     fn block_size(&self) -> usize {
         BLOCK
     }
+
+    /// True if a block is seen the faster the nearer to each other its receivers are: [`gather`] then hands neighbors
+    /// over together, in receivers of their own. What one sees must not depend on the others.
+    fn gains_from_neighbors(&self) -> bool {
+        false
+    }
 }
 
 /// Makes an engine that reads light from a cloud; for `bounce`, whose clouds change from one iteration to the next.
@@ -121,15 +128,28 @@ pub fn gather(
     let work = Work::plan(scene, aovs);
     let phase = diagnostics.phase("gather", "receivers", receivers.len() as u64);
     let mut results = empty_results(aovs, receivers.len());
+    let order = (work.hemisphere && engine.gains_from_neighbors())
+        .then(|| neighbors::order(&receivers.position, &receivers.normal));
     split(&mut results, receivers.len(), engine.block_size())
         .into_par_iter()
         .try_for_each_init(Hemisphere::default, |scratch, mut block| {
             diagnostics.check()?;
-            let count = block.range.len() as u64;
-            work.fill(engine, receivers, &mut block, scratch);
-            phase.advance(count);
+            let count = block.range.len();
+            if let Some(order) = &order {
+                let block_receivers = receivers.subset(&order[block.range]);
+                block.range = 0..count;
+                work.fill(engine, &block_receivers, &mut block, scratch);
+            } else {
+                work.fill(engine, receivers, &mut block, scratch);
+            }
+            phase.advance(count as u64);
             Ok(())
         })?;
+    if let Some(order) = order {
+        for buffer in &mut results.buffers {
+            buffer.data = neighbors::undo(&order, &buffer.data, buffer.aov.components());
+        }
+    }
     Ok(results)
 }
 
