@@ -2,6 +2,8 @@
 
 #[path = "support/dense.rs"]
 mod dense;
+#[path = "support/maps_failures.rs"]
+mod failures;
 #[path = "support/scenes.rs"]
 mod scenes;
 #[path = "support/maps_speed.rs"]
@@ -17,7 +19,7 @@ use surflux::gather::{GatherScene, RaysEngine, RaysSettings, gather};
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::math::Bounds3;
 use surflux::receivers::Receivers;
-use surflux::results::{Aov, Results};
+use surflux::results::{Aov, AovBuffer, Results};
 use surflux::scene::{Mesh, MeshId, PrimId, Scene};
 use surflux::shading::Shader;
 use surflux::trace::Tracer;
@@ -267,6 +269,35 @@ fn finite_distances_match_rays() {
         ..MapsSettings::default()
     };
     assert!(visibility_error(&scene, &receivers, &settings) < 0.012);
+}
+
+#[test]
+fn the_other_engine_is_asked_only_for_what_is_ambiguous() {
+    let ask = |scene: &Scene| {
+        let (plan, receivers) = (MapsPlan::new(scene), dense::vertices(scene));
+        let aovs = [Aov::Visibility];
+        let mut asked = 0;
+        let mut other = |few: &Receivers, aovs: &[Aov]| {
+            asked += few.len();
+            let data = vec![7.0; few.len()];
+            let buffers = vec![AovBuffer { aov: aovs[0], data }];
+            Ok(Results { buffers })
+        };
+        let results = maps::gather_sky(
+            (&plan, &MapsSettings::default()),
+            None,
+            (&receivers, &aovs),
+            &mut other,
+            &dense::quiet(),
+        )
+        .expect("not cancelled");
+        let theirs = results.buffers[0].data.iter().filter(|&&v| v == 7.0);
+        assert_eq!(theirs.count(), asked);
+        asked
+    };
+    let ball = || bowl(Vec3::ZERO, 1.0, PI, 40, Side::Outside);
+    assert_eq!(ask(&scene_of(vec![ball()])), 0);
+    assert!(ask(&scene_of(vec![ball(), ball()])) > 1000);
 }
 
 #[test]

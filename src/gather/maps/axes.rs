@@ -5,7 +5,7 @@ use glam::{Mat3, Quat, Vec2, Vec3};
 use std::f32::consts::TAU;
 
 /// One axis and how its map lies across it. The three vectors are orthonormal.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Axis {
     /// Along the rows of the map.
     pub(super) right: Vec3,

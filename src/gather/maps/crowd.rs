@@ -62,9 +62,14 @@ impl Crowd {
     /// `channels`: how many sums over open directions each receiver keeps.
     pub(super) fn new(plan: &MapsPlan<'_>, receivers: &Receivers, channels: usize) -> Self {
         let order = morton_order(plan, receivers);
+        // In the receivers' order, which is that of their triangles.
+        let tags: Vec<u32> = (0..receivers.len())
+            .into_par_iter()
+            .map(|i| raster::tag(receivers.prim[i], is_on_front(plan.scene, receivers, i)))
+            .collect();
         let blocks: Vec<Block> = order
             .par_chunks(LANES)
-            .map(|lanes| block(plan, receivers, lanes))
+            .map(|lanes| block(plan, (receivers, &tags), lanes))
             .collect();
         Self {
             sums: vec![Sums::zero(channels); blocks.len()],
@@ -104,7 +109,7 @@ fn morton_order(plan: &MapsPlan<'_>, receivers: &Receivers) -> Vec<u32> {
     };
     let corner = plan.center - plan.radius;
     let scale = CELLS / (2.0 * plan.radius).max(f32::MIN_POSITIVE);
-    let mut keys: Vec<u64> = (receivers.position.par_iter())
+    let keys: Vec<u64> = (receivers.position.par_iter())
         .enumerate()
         .map(|(i, &position)| {
             let cell = (position - corner) * scale;
@@ -112,11 +117,34 @@ fn morton_order(plan: &MapsPlan<'_>, receivers: &Receivers) -> Vec<u32> {
             u64::from(key) << 32 | i as u64
         })
         .collect();
-    keys.par_sort_unstable();
-    keys.iter().map(|&key| key as u32).collect()
+    sorted(keys).iter().map(|&key| key as u32).collect()
 }
 
-fn block(plan: &MapsPlan<'_>, receivers: &Receivers, lanes: &[u32]) -> Block {
+/// Bits of a key that one pass sorts by.
+const DIGIT: u32 = 10;
+
+/// By the upper half of the keys, where equal in their order: a pass a digit, from the lowest.
+fn sorted(mut keys: Vec<u64>) -> Vec<u64> {
+    let mut other = vec![0; keys.len()];
+    for digit in [32, 32 + DIGIT, 32 + 2 * DIGIT] {
+        let bucket = |key: u64| (key >> digit & ((1 << DIGIT) - 1)) as usize;
+        let mut starts = [0_usize; 1 << DIGIT];
+        keys.iter().for_each(|&key| starts[bucket(key)] += 1);
+        let mut next = 0;
+        for start in &mut starts {
+            next += std::mem::replace(start, next);
+        }
+        for &key in &keys {
+            let place = &mut starts[bucket(key)];
+            other[*place] = key;
+            *place += 1;
+        }
+        std::mem::swap(&mut keys, &mut other);
+    }
+    keys
+}
+
+fn block(plan: &MapsPlan<'_>, (receivers, tags): (&Receivers, &[u32]), lanes: &[u32]) -> Block {
     let zero = [0.0; LANES];
     let mut block = Block {
         position: [zero; 3],
@@ -131,7 +159,7 @@ fn block(plan: &MapsPlan<'_>, receivers: &Receivers, lanes: &[u32]) -> Block {
             block.position[axis][lane] = position[axis];
             block.normal[axis][lane] = normal[axis];
         }
-        block.tag[lane] = raster::tag(receivers.prim[i], is_on_front(plan.scene, receivers, i));
+        block.tag[lane] = tags[i];
     }
     block
 }

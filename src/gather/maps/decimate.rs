@@ -3,41 +3,24 @@
 //!
 //! Vertices of one cell whose normals lie in different octants stay apart, so that both sides of a thin part survive.
 
+use super::shell::Shell;
 use crate::scene::Mesh;
 use glam::Vec3;
-use std::borrow::Cow;
-
-/// Triangles with their own positions, in object space.
-#[derive(Debug, Clone)]
-pub(super) struct Shell<'a> {
-    pub(super) positions: Cow<'a, [Vec3]>,
-    pub(super) triangles: Cow<'a, [[u32; 3]]>,
-}
-
-impl<'a> Shell<'a> {
-    /// All triangles of `mesh` as they are.
-    pub(super) fn whole(mesh: &'a Mesh) -> Self {
-        Self {
-            positions: Cow::Borrowed(&mesh.positions),
-            triangles: Cow::Borrowed(&mesh.triangles),
-        }
-    }
-}
 
 /// Cells along one axis that a key tells apart.
 const MOST_CELLS: f32 = (1_u32 << 20) as f32;
 
 /// `mesh` with one vertex a cell of size `cell`, object units, and normal octant. The same bits on every run.
-pub(super) fn decimate(mesh: &Mesh, cell: f32) -> Shell<'static> {
+/// `normals`: one a position, of any length.
+pub(super) fn decimate(mesh: &Mesh, normals: &[Vec3], cell: f32) -> Shell<'static> {
     let bounds = mesh.bounds();
     let size = (bounds.max - bounds.min).max_element();
     let cells_per_unit = 1.0 / cell.max(size / (MOST_CELLS - 1.0));
-    let normals = normals(mesh);
-    let mut clusters = Clusters::new(mesh.positions.len());
+    let mut clusters = Clusters::new();
     let cluster_of: Vec<u32> = mesh
         .positions
         .iter()
-        .zip(&normals)
+        .zip(normals)
         .map(|(&position, &normal)| {
             let key = key((position - bounds.min) * cells_per_unit, normal);
             clusters.add(key, position - bounds.min)
@@ -50,23 +33,7 @@ pub(super) fn decimate(mesh: &Mesh, cell: f32) -> Shell<'static> {
             triangles.push([a, b, c]);
         }
     }
-    Shell {
-        positions: Cow::Owned(clusters.means(bounds.min)),
-        triangles: Cow::Owned(triangles),
-    }
-}
-
-/// Area-weighted normals of the positions, of any length.
-fn normals(mesh: &Mesh) -> Vec<Vec3> {
-    let mut normals = vec![Vec3::ZERO; mesh.positions.len()];
-    for (t, corners) in mesh.triangles.iter().enumerate() {
-        let [a, b, c] = mesh.corners(t);
-        let normal = (b - a).cross(c - a);
-        for &corner in corners {
-            normals[corner as usize] += normal;
-        }
-    }
-    normals
+    Shell::new(clusters.means(bounds.min), triangles, bounds.center())
 }
 
 #[expect(
@@ -88,10 +55,13 @@ struct Clusters {
     sums: Vec<(Vec3, f32)>,
 }
 
+/// Slots of an empty table.
+const FIRST_SLOTS: usize = 1 << 10;
+
 impl Clusters {
-    fn new(most: usize) -> Self {
+    fn new() -> Self {
         Self {
-            table: vec![0; (2 * most).next_power_of_two()],
+            table: vec![0; FIRST_SLOTS],
             keys: Vec::new(),
             sums: Vec::new(),
         }
@@ -99,28 +69,45 @@ impl Clusters {
 
     #[expect(
         clippy::cast_possible_truncation,
-        reason = "a slot is the upper bits of a hash; a mesh has less than 2³² positions"
+        reason = "a mesh has less than 2³² positions"
     )]
     fn add(&mut self, key: u64, position: Vec3) -> u32 {
+        let slot = self.slot(key);
+        let number = self.table[slot];
+        if number != 0 {
+            let (sum, count) = &mut self.sums[number as usize - 1];
+            *sum += position;
+            *count += 1.0;
+            return number - 1;
+        }
+        self.keys.push(key);
+        self.sums.push((position, 1.0));
+        let number = self.keys.len() as u32;
+        self.table[slot] = number;
+        if 2 * self.keys.len() > self.table.len() {
+            self.grow();
+        }
+        number - 1
+    }
+
+    /// Where `key` is, or where it belongs.
+    fn slot(&self, key: u64) -> usize {
         let mask = self.table.len() - 1;
         let mut slot = (key.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 32) as usize & mask;
         loop {
             match self.table[slot] {
-                0 => {
-                    self.keys.push(key);
-                    self.sums.push((position, 1.0));
-                    let number = self.keys.len() as u32;
-                    self.table[slot] = number;
-                    return number - 1;
-                }
-                number if self.keys[number as usize - 1] == key => {
-                    let (sum, count) = &mut self.sums[number as usize - 1];
-                    *sum += position;
-                    *count += 1.0;
-                    return number - 1;
-                }
+                0 => return slot,
+                number if self.keys[number as usize - 1] == key => return slot,
                 _ => slot = (slot + 1) & mask,
             }
+        }
+    }
+
+    fn grow(&mut self) {
+        self.table = vec![0; 2 * self.table.len()];
+        for (number, &key) in (1..).zip(&self.keys) {
+            let slot = self.slot(key);
+            self.table[slot] = number;
         }
     }
 

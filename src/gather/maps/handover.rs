@@ -7,15 +7,22 @@
 use super::{MapsPlan, MapsSettings, Visibility};
 use crate::receivers::Receivers;
 use crate::scene::Mesh;
+use crate::shading::SurfacePoint;
 use glam::Vec3;
 use rayon::prelude::*;
 
 /// Barycentric weight from which on a receiver stands at a vertex: they are pulled off open edges by a little.
 const AT_VERTEX: f32 = 0.95;
 
+/// Triangles whose longest edge is this part of a pixel are details that maps do not see: small parts of meshes that
+/// are coarse elsewhere, and small things in wide scenes, whose maps have few pixels for each.
+const TINY: f32 = 1.0 / 16.0;
+
 /// Fill `visibility.ambiguous`.
+///
+/// `pixels`: width of those that each prim is drawn at.
 pub(super) fn mark(
-    plan: &MapsPlan<'_>,
+    (plan, pixels): (&MapsPlan<'_>, &[f32]),
     receivers: &Receivers,
     settings: &MapsSettings,
     visibility: &mut Visibility,
@@ -24,9 +31,27 @@ pub(super) fn mark(
     visibility.ambiguous = (visibility.uncertain.par_iter())
         .enumerate()
         .map(|(i, &share)| {
-            share > settings.ambiguous || creases.share(plan, receivers, i) > settings.crease
+            share > settings.ambiguous
+                || creases.share(plan, receivers, i) > settings.crease
+                || is_tiny(plan, pixels, receivers, i)
         })
         .collect();
+}
+
+/// True if the triangle of receiver `i` is far smaller than the pixels it is drawn at.
+fn is_tiny(plan: &MapsPlan<'_>, pixels: &[f32], receivers: &Receivers, i: usize) -> bool {
+    let Some(prim) = plan.scene.prims.get(receivers.prim[i] as usize) else {
+        return false;
+    };
+    let mesh = plan.scene.mesh_of(prim);
+    let Some(t) = mesh.triangles.get(receivers.surface[i].triangle as usize) else {
+        return false;
+    };
+    let at = |k: usize| mesh.positions[t[k] as usize];
+    let edges = [at(1) - at(0), at(2) - at(1), at(0) - at(2)];
+    let longest = edges.map(Vec3::length_squared).into_iter().reduce(f32::max);
+    let scale = prim.world_from_object.matrix3.determinant().abs().cbrt();
+    longest.unwrap_or(0.0).sqrt() * scale < TINY * pixels[receivers.prim[i] as usize]
 }
 
 /// For meshes with receivers at vertices: the share of the hemisphere that the faces around each vertex cover.
@@ -38,15 +63,23 @@ impl Creases {
     fn new(plan: &MapsPlan<'_>, receivers: &Receivers) -> Self {
         let meshes = &plan.scene.meshes;
         let mut is_asked = vec![false; meshes.len()];
-        for i in 0..receivers.len() {
-            if let Some((mesh, _)) = vertex(plan, receivers, i) {
-                is_asked[mesh] = true;
+        for (surface, &prim) in receivers.surface.iter().zip(&receivers.prim) {
+            if corner(surface).is_some()
+                && let Some(prim) = plan.scene.prims.get(prim as usize)
+            {
+                is_asked[prim.mesh.index()] = true;
             }
         }
-        let of_mesh = is_asked.into_par_iter().zip(meshes);
+        let of_mesh = is_asked.into_par_iter().enumerate();
         Self {
             of_mesh: of_mesh
-                .map(|(asked, mesh)| if asked { creased(mesh) } else { Vec::new() })
+                .map(|(mesh, asked)| {
+                    if asked {
+                        creased(&meshes[mesh], plan.normals(mesh))
+                    } else {
+                        Vec::new()
+                    }
+                })
                 .collect(),
         }
     }
@@ -57,11 +90,16 @@ impl Creases {
     }
 }
 
+/// Corner of its triangle that a receiver stands at, if any.
+fn corner(surface: &SurfacePoint) -> Option<usize> {
+    let weights = [1.0 - surface.u - surface.v, surface.u, surface.v];
+    weights.iter().position(|&weight| weight >= AT_VERTEX)
+}
+
 /// Mesh and position that receiver `i` stands at, if any.
 fn vertex(plan: &MapsPlan<'_>, receivers: &Receivers, i: usize) -> Option<(usize, usize)> {
     let surface = &receivers.surface[i];
-    let weights = [1.0 - surface.u - surface.v, surface.u, surface.v];
-    let corner = weights.iter().position(|&weight| weight >= AT_VERTEX)?;
+    let corner = corner(surface)?;
     let prim = plan.scene.prims.get(receivers.prim[i] as usize)?;
     let mesh = plan.scene.mesh_of(prim);
     let t = mesh.triangles.get(surface.triangle as usize)?;
@@ -69,37 +107,43 @@ fn vertex(plan: &MapsPlan<'_>, receivers: &Receivers, i: usize) -> Option<(usize
 }
 
 /// For every position, the cosine-weighted share of the hemisphere about its area-weighted normal below the horizon of
-/// the edges around it: the mean of sin² of their elevations. Faces that look away from the normal cover everything.
-fn creased(mesh: &Mesh) -> Vec<f32> {
-    let face = |t: usize| -> Vec3 {
-        let [a, b, c] = mesh.corners(t);
-        (b - a).cross(c - a)
-    };
-    let mut normals = vec![Vec3::ZERO; mesh.positions.len()];
-    for (t, corners) in mesh.triangles.iter().enumerate() {
-        corners.iter().for_each(|&i| normals[i as usize] += face(t));
-    }
-    normals
-        .iter_mut()
-        .for_each(|normal| *normal = normal.normalize_or_zero());
+/// the edges around it: the mean of sin² of their elevations, each edge of a face weighing a half where two faces share
+/// it. Faces that look away from the normal cover everything.
+fn creased(mesh: &Mesh, normals: &[Vec3]) -> Vec<f32> {
     let mut sums = vec![(0.0_f32, 0.0_f32); mesh.positions.len()];
-    for (t, corners) in mesh.triangles.iter().enumerate() {
-        let face = face(t);
+    for t in &mesh.triangles {
+        let at = [t[0] as usize, t[1] as usize, t[2] as usize];
+        let corners = [
+            mesh.positions[at[0]],
+            mesh.positions[at[1]],
+            mesh.positions[at[2]],
+        ];
+        let edges = [
+            corners[1] - corners[0],
+            corners[2] - corners[1],
+            corners[0] - corners[2],
+        ];
+        let face = edges[0].cross(edges[1]);
+        let lengths = [
+            edges[0].length_squared(),
+            edges[1].length_squared(),
+            edges[2].length_squared(),
+        ];
         for k in 0..3 {
-            let [at, next, last] = [0, 1, 2].map(|j| corners[(k + j) % 3] as usize);
-            let normal = normals[at];
+            let (normal, last) = (normals[at[k]], (k + 2) % 3);
+            let rise = |height: f32, length: f32| {
+                let height = height.max(0.0);
+                height * height / length.max(f32::MIN_POSITIVE)
+            };
             let share = if face.dot(normal) < 0.0 {
                 1.0
             } else {
-                let [e, f] = [next, last].map(|to| {
-                    let edge = mesh.positions[to] - mesh.positions[at];
-                    let rise = edge.dot(normal).max(0.0);
-                    rise * rise / edge.length_squared().max(f32::MIN_POSITIVE)
-                });
-                0.5 * (e + f)
+                let next = rise(edges[k].dot(normal), lengths[k]);
+                let last = rise(-edges[last].dot(normal), lengths[last]);
+                0.5 * (next + last) / normal.length_squared().max(f32::MIN_POSITIVE)
             };
-            sums[at].0 += share;
-            sums[at].1 += 1.0;
+            sums[at[k]].0 += share;
+            sums[at[k]].1 += 1.0;
         }
     }
     let mean = |&(sum, count): &(f32, f32)| sum / f32::max(count, 1.0);
@@ -124,12 +168,22 @@ mod tests {
         mesh
     }
 
+    fn share_at_tip(fan: &Mesh) -> f32 {
+        let center = fan.triangles.iter().map(|t| {
+            let [a, b, c] = t.map(|i| fan.positions[i as usize]);
+            (b - a).cross(c - a)
+        });
+        let mut normals = vec![Vec3::Z; fan.positions.len()];
+        normals[0] = center.sum();
+        creased(fan, &normals)[0]
+    }
+
     #[test]
     fn the_bottom_of_a_funnel_is_covered_by_the_squared_sine_of_its_slope_and_a_tip_by_nothing() {
         let slope = 0.75_f32; // 3-4-5: sin² = 9/25
-        assert!((creased(&fan(|_| slope))[0] - 0.36).abs() < 1e-5);
-        assert_eq!(creased(&fan(|_| -slope))[0], 0.0);
-        assert!(creased(&fan(|_| 0.0))[0] < 1e-6);
+        assert!((share_at_tip(&fan(|_| slope)) - 0.36).abs() < 1e-5);
+        assert_eq!(share_at_tip(&fan(|_| -slope)), 0.0);
+        assert!(share_at_tip(&fan(|_| 0.0)) < 1e-6);
     }
 
     #[test]
@@ -137,6 +191,6 @@ mod tests {
         let mut fan = fan(|_| 0.0);
         // One corner of the rim swings far over to the other side: a face there lies upside down.
         fan.positions[3] = Vec3::new(0.5, -0.4, 0.3);
-        assert!(creased(&fan)[0] > MapsSettings::default().crease);
+        assert!(share_at_tip(&fan) > MapsSettings::default().crease);
     }
 }

@@ -22,14 +22,18 @@ pub(super) const FOREIGN_SHARE: f32 = 0.05;
 /// Own patches deeper than this part of the bias, and up to the second part, make a verdict uncertain.
 pub(super) const OWN_UNCERTAIN: (f32, f32) = (0.5, 1.5);
 
-/// Foreign surfaces nearer than this part of the own bias make a verdict uncertain.
+/// Foreign surfaces nearer than this part of the own bias make a verdict uncertain. So do those that cover at the
+/// middle of the pixel and not without the slide there, or the other way round: what lies inside the pixel matters.
 pub(super) const FOREIGN_UNCERTAIN: f32 = 0.5;
 
 /// Flat prims nearer than this part of the scene's radius, measured across them, do not cover: rounding.
 const FLAT_MARGIN: f32 = 1e-6;
 
+/// Roundings of a coordinate in the world that flat prims and receivers on them may be apart: one each, on three axes.
+const WORLD_ROUNDINGS: f32 = 3.0;
+
 /// All there is to see along one axis.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct View {
     pub(super) axis: Axis,
     pub(super) maps: Vec<DepthMap>,
@@ -52,7 +56,8 @@ pub(super) struct Rules {
 }
 
 impl Rules {
-    pub(super) fn flat_margin(radius: f32) -> f32 {
-        FLAT_MARGIN * radius
+    /// `reach`: the largest coordinate of the scene, to which positions in the world are rounded.
+    pub(super) fn flat_margin(radius: f32, reach: f32) -> f32 {
+        FLAT_MARGIN * radius + WORLD_ROUNDINGS * f32::EPSILON * reach
     }
 }

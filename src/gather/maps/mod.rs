@@ -25,11 +25,12 @@ mod plain;
 mod plan;
 mod raster;
 mod results;
+mod shell;
 mod wide;
 
 pub use cost::seconds;
 pub use plan::MapsPlan;
-pub use results::{gather, supports};
+pub use results::{Ask, gather, gather_sky, supports};
 
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::math::Bounds3;
@@ -37,12 +38,12 @@ use crate::math::sh::{COEFFICIENT_COUNT, Sh9};
 use crate::receivers::Receivers;
 use axes::Axis;
 use crowd::Crowd;
-use decimate::Shell;
 use fearless_simd::Level;
 use glam::Vec3;
 use look::{Rules, View};
 use raster::{DepthMap, MOST_PIXELS, Piece};
 use rayon::prelude::*;
+use shell::Shell;
 use std::f32::consts::PI;
 use std::fmt;
 
@@ -59,7 +60,7 @@ pub struct MapsSettings {
     /// larger for coarsely drawn ones.
     pub bias: f32,
     /// Nothing beyond this distance, stage units, covers; `None` = no limit. Maps know the last surface along a
-    /// direction and not the first: receivers that look at surfaces beyond are ambiguous.
+    /// direction and not the first: receivers with a direction that ends beyond are ambiguous.
     pub max_distance: Option<f32>,
     /// Share of uncertain verdicts, 0…1, above which a receiver is ambiguous.
     pub ambiguous: f32,
@@ -122,7 +123,8 @@ impl fmt::Debug for Wanted<'_> {
 pub struct Visibility {
     /// Cosine-weighted open fraction of the hemisphere, 0…1; exactly 1 where all is open.
     pub visibility: Vec<f32>,
-    /// Share of the directions, weighted by the cosine, whose verdict hung on the bias, 0…1.
+    /// Share of the directions, weighted by the cosine, whose verdict hung on the bias, 0…1; 1 where a surface beyond
+    /// the distance asked for may hide one before it.
     pub uncertain: Vec<f32>,
     /// True where maps cannot tell: another engine should look.
     pub ambiguous: Vec<bool>,
@@ -136,6 +138,9 @@ pub struct Visibility {
 
 /// Memory that the maps drawn at once may take, bytes. Independent of threads, though results are as well.
 const MAP_BYTES: usize = 64 << 20;
+
+/// Memory for triangles in the order in which they are drawn, bytes.
+const BLOCK_BYTES: usize = 256 << 20;
 
 /// Most axes drawn at once: receivers are passed over once for all of them.
 const MOST_AXES: usize = 16;
@@ -165,26 +170,33 @@ pub fn visibility(
     let rules = Rules {
         bias: settings.bias,
         max_distance: settings.max_distance.unwrap_or(f32::INFINITY),
-        flat_margin: Rules::flat_margin(plan.radius),
+        flat_margin: Rules::flat_margin(plan.radius, plan.center.abs().max_element() + plan.radius),
         weighted_channels: channels.weighted,
     };
     let level = Level::new();
+    let mut all_views = Vec::new();
     for batch in axes::axes(count).chunks(stage.axes_at_once()) {
         diagnostics.check()?;
-        let views: Vec<View> = batch
-            .par_iter()
-            .map(|axis| stage.view(plan, axis, wanted))
-            .collect();
+        all_views.resize_with(batch.len().max(all_views.len()), View::default);
+        let views = &mut all_views[..batch.len()];
+        (views.par_iter_mut().zip(batch))
+            .for_each(|(view, axis)| stage.look_along(level, (plan, wanted), axis, view));
+        let views = &*views;
         (
             crowd.blocks.par_chunks(BLOCKS),
             crowd.sums.par_chunks_mut(BLOCKS),
         )
             .into_par_iter()
-            .for_each(|(blocks, sums)| wide::look(level, (&views, &rules), blocks, sums));
+            .for_each(|(blocks, sums)| wide::look(level, (views, &rules), blocks, sums));
         phase.advance(batch.len() as u64);
     }
     let mut visibility = channels.read(&crowd, wanted, count);
-    handover::mark(plan, receivers, settings, &mut visibility);
+    handover::mark(
+        (plan, &stage.pixels(plan)),
+        receivers,
+        settings,
+        &mut visibility,
+    );
     Ok(visibility)
 }
 
@@ -204,11 +216,27 @@ struct DrawnClass<'a> {
 impl<'a> Stage<'a> {
     fn new(plan: &MapsPlan<'a>, settings: &MapsSettings) -> Self {
         let classes = plan.classes.par_iter();
-        Self {
+        let mut stage = Self {
             classes: classes
                 .map(|class| DrawnClass::new(plan, class, settings))
                 .collect(),
-        }
+        };
+        stage.keep_blocks();
+        stage
+    }
+
+    /// As many as fit.
+    fn keep_blocks(&mut self) {
+        let mut free = BLOCK_BYTES;
+        let shells = self.classes.iter_mut().flat_map(|class| &mut class.shells);
+        let kept: Vec<&mut Shell<'_>> = shells
+            .filter(|shell| {
+                let fits = shell.block_bytes() <= free;
+                free -= if fits { shell.block_bytes() } else { 0 };
+                fits
+            })
+            .collect();
+        kept.into_par_iter().for_each(Shell::keep_blocks);
     }
 
     fn axes_at_once(&self) -> usize {
@@ -220,18 +248,34 @@ impl<'a> Stage<'a> {
             .unwrap_or(1)
     }
 
-    fn view(&self, plan: &MapsPlan<'_>, axis: &Axis, wanted: &Wanted<'_>) -> View {
-        View {
-            axis: *axis,
-            maps: self.classes.iter().map(|class| class.draw(axis)).collect(),
-            flats: plan
-                .flats
-                .iter()
-                .filter_map(|flat| flat.view(axis))
-                .collect(),
-            channels: [axis.direction, -axis.direction]
-                .map(|direction| Channels::values(wanted, direction)),
+    /// Width of the pixels that each prim is drawn at, stage units; 0 where it is in no map.
+    fn pixels(&self, plan: &MapsPlan<'_>) -> Vec<f32> {
+        let mut pixels = vec![0.0; plan.scene.prims.len()];
+        for class in &self.classes {
+            for (_, occluder) in &class.pieces {
+                pixels[occluder.prim.index()] = class.pixel;
+            }
         }
+        pixels
+    }
+
+    fn look_along(
+        &self,
+        level: Level,
+        (plan, wanted): (&MapsPlan<'_>, &Wanted<'_>),
+        axis: &Axis,
+        view: &mut View,
+    ) {
+        view.axis = *axis;
+        view.maps.resize_with(self.classes.len(), DepthMap::default);
+        for (class, map) in self.classes.iter().zip(&mut view.maps) {
+            class.draw(level, axis, map);
+        }
+        view.flats.clear();
+        let flats = plan.flats.iter();
+        view.flats.extend(flats.filter_map(|flat| flat.view(axis)));
+        view.channels =
+            [axis.direction, -axis.direction].map(|direction| Channels::values(wanted, direction));
     }
 }
 
@@ -246,9 +290,10 @@ impl<'a> DrawnClass<'a> {
                 slot_of_mesh[mesh] = shells.len();
                 let cell = settings.cell * class.edge / occluder.scale;
                 shells.push(if settings.cell >= 1.0 {
-                    decimate::decimate(plan.mesh(occluder), cell)
+                    decimate::decimate(plan.mesh(occluder), plan.normals(mesh), cell)
                 } else {
-                    Shell::whole(plan.mesh(occluder))
+                    let mesh = &plan.scene.meshes[mesh];
+                    Shell::new(&mesh.positions, &mesh.triangles, mesh.bounds().center())
                 });
             }
             pieces.push((slot_of_mesh[mesh], *occluder));
@@ -270,7 +315,7 @@ impl<'a> DrawnClass<'a> {
         8.0 * (self.bounds.diagonal() / self.pixel).powi(2)
     }
 
-    fn draw(&self, axis: &Axis) -> DepthMap {
+    fn draw(&self, level: Level, axis: &Axis, map: &mut DepthMap) {
         let piece = |(slot, occluder): &(usize, plan::Occluder)| Piece {
             shell: &self.shells[*slot],
             local_from_object: occluder.local_from_object,
@@ -278,7 +323,7 @@ impl<'a> DrawnClass<'a> {
             is_solid: occluder.is_solid,
         };
         let pieces: Vec<Piece<'_>> = self.pieces.iter().map(piece).collect();
-        DepthMap::draw(&pieces, self.bounds, self.pixel, axis)
+        map.draw(level, &pieces, (self.bounds, self.pixel), axis);
     }
 }
 
@@ -333,7 +378,7 @@ impl Channels {
         let solid_angle = 2.0 * PI / count as f32;
         Visibility {
             visibility: crowd.values(|s, lane| share(s.open[lane], s.weight[lane])),
-            uncertain: crowd.values(|s, lane| share(s.uncertain[lane], s.weight[lane])),
+            uncertain: crowd.values(|s, lane| share(s.uncertain[lane], s.weight[lane]).min(1.0)),
             ambiguous: Vec::new(),
             open_direction: if wanted.bent_normal {
                 three(0, 1.0)

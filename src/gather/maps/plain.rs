@@ -14,11 +14,12 @@ pub(super) fn look(view: &View, rules: &Rules, block: &Block, lane: usize, sums:
     let at = |rows: &[[f32; LANES]; 3]| [rows[0][lane], rows[1][lane], rows[2][lane]];
     let place = Place::of(&view.axis, at(&block.position), at(&block.normal));
     let mut is_open = true;
-    let mut is_uncertain = false;
+    let (mut is_uncertain, mut is_far) = (false, false);
     for map in &view.maps {
         let verdict = map_verdict(map, rules, &place, block.tag[lane]);
         is_open &= verdict.is_open;
         is_uncertain |= verdict.is_uncertain;
+        is_far |= verdict.is_far;
     }
     for flat in &view.flats {
         is_open &= !flat_covers(flat, rules, &place);
@@ -26,7 +27,13 @@ pub(super) fn look(view: &View, rules: &Rules, block: &Block, lane: usize, sums:
     let seen = if is_open { place.cosine } else { 0.0 };
     sums.weight[lane] += place.cosine;
     sums.open[lane] += seen;
-    sums.uncertain[lane] += if is_uncertain { place.cosine } else { 0.0 };
+    sums.uncertain[lane] += if is_far && is_open {
+        f32::INFINITY
+    } else if is_uncertain {
+        place.cosine
+    } else {
+        0.0
+    };
     let counted = if is_open && place.cosine > 0.0 {
         1.0
     } else {
@@ -84,6 +91,8 @@ impl Place {
 struct Verdict {
     is_open: bool,
     is_uncertain: bool,
+    /// Something lies beyond the limit: what is before it, if anything, is not known.
+    is_far: bool,
 }
 
 #[expect(
@@ -96,27 +105,28 @@ fn map_verdict(map: &DepthMap, rules: &Rules, place: &Place, own_tag: u32) -> Ve
     let y = place.up * map.pixels + map.origin[1];
     let column = x.max(0.0).min((map.width - 1) as f32) as u32;
     let row = y.max(0.0).min((map.height - 1) as f32) as u32;
-    let key = map.keys[2 * (row * map.width + column) as usize + place.side];
+    let key = map.keys[(row * map.width + column) as usize + place.side * map.side()];
     let steps_a_pixel = map.steps / map.pixels;
     let slide_x = (column as f32 + 0.5 - x) * place.slope[0];
     let slide_y = (row as f32 + 0.5 - y) * place.slope[1];
-    let own = place.depth * map.steps
-        + map.origin_depth[place.side]
-        + (slide_x + slide_y) * steps_a_pixel;
+    let slide = (slide_x + slide_y) * steps_a_pixel;
+    let own = place.depth * map.steps + map.origin_depth[place.side] + slide;
     let above = (key >> TAG_BITS) as f32 - own;
     let bias = (place.tangent * SLOPE_SHARE + 1.0) * (rules.bias * steps_a_pixel);
     let is_own = key & ((1 << TAG_BITS) - 1) == own_tag;
     let needed = if is_own { bias } else { bias * FOREIGN_SHARE };
     let is_there = key != 0;
+    let covers = above > needed;
     let hangs = if is_own {
         above > bias * OWN_UNCERTAIN.0 && above < bias * OWN_UNCERTAIN.1
     } else {
-        above.abs() < FOREIGN_UNCERTAIN * bias
+        above.abs() < FOREIGN_UNCERTAIN * bias || covers != (above + slide > needed)
     };
-    let is_far = above > rules.max_distance * map.steps;
+    let is_far = is_there && covers && above + bias > rules.max_distance * map.steps;
     Verdict {
-        is_open: !(is_there && above > needed),
-        is_uncertain: is_there && (hangs || is_far),
+        is_open: !(is_there && covers) || is_far,
+        is_uncertain: is_there && hangs,
+        is_far,
     }
 }
 

@@ -6,6 +6,7 @@ use crate::math::Bounds3;
 use crate::scene::{Mesh, Prim, PrimId, Scene};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// Prims whose edges are this many times longer than those of the densest prim in a map get a map of their own.
 const CLASS_RATIO: f32 = 4.0;
@@ -25,6 +26,8 @@ pub struct MapsPlan<'a> {
     pub(super) classes: Vec<Class>,
     /// Flat prims, tested exactly, relative to `center`.
     pub(super) flats: Vec<Flat>,
+    /// Of each mesh: see [`Self::normals`].
+    normals: Vec<OnceLock<Vec<Vec3>>>,
 }
 
 /// Prims that share a map.
@@ -56,6 +59,7 @@ pub(super) struct Occluder {
 struct Form {
     edge: f32,
     is_solid: bool,
+    bounds: Bounds3,
 }
 
 impl<'a> MapsPlan<'a> {
@@ -89,9 +93,15 @@ impl<'a> MapsPlan<'a> {
             scene,
             center,
             radius,
-            classes: classify(scene, occluders),
+            classes: classify(scene, &forms, occluders),
             flats,
+            normals: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
         }
+    }
+
+    /// Area-weighted normals of the positions of a mesh, twice the area long, zero where nothing is attached.
+    pub(super) fn normals(&self, mesh: usize) -> &[Vec3] {
+        self.normals[mesh].get_or_init(|| normals(&self.scene.meshes[mesh]))
     }
 
     /// Mean edge of the densest prims, stage units: the unit of [`super::MapsSettings::pixel`]. 0 if nothing is drawn
@@ -144,20 +154,42 @@ fn form(mesh: &Mesh) -> Form {
     Form {
         edge,
         is_solid: mesh.closed && signed_volume(mesh) > 0.0,
+        bounds: mesh.bounds(),
     }
 }
 
-/// Volume that the fronts enclose; negative if they look inwards.
+/// Six times the volume that the fronts enclose, negative if they look inwards: the columns between the triangles and
+/// a plane across x.
 fn signed_volume(mesh: &Mesh) -> f64 {
     let origin = mesh.positions.first().copied().unwrap_or_default();
-    let six_volumes = |t: &[u32; 3]| {
-        let [a, b, c] = t.map(|i| (mesh.positions[i as usize] - origin).as_dvec3());
-        a.dot(b.cross(c))
+    let columns = |t: &[u32; 3]| {
+        let [a, b, c] = corners(mesh, t);
+        let (u, v) = (b - a, c - a);
+        let across = f64::from(u.y) * f64::from(v.z) - f64::from(u.z) * f64::from(v.y);
+        let far = |p: Vec3| f64::from(p.x - origin.x);
+        (far(a) + far(b) + far(c)) * across
     };
-    mesh.triangles.iter().map(six_volumes).sum()
+    mesh.triangles.iter().map(columns).sum()
 }
 
-fn classify(scene: &Scene, mut occluders: Vec<Occluder>) -> Vec<Class> {
+fn corners(mesh: &Mesh, t: &[u32; 3]) -> [Vec3; 3] {
+    let p = &mesh.positions;
+    [p[t[0] as usize], p[t[1] as usize], p[t[2] as usize]]
+}
+
+fn normals(mesh: &Mesh) -> Vec<Vec3> {
+    let mut normals = vec![Vec3::ZERO; mesh.positions.len()];
+    for t in &mesh.triangles {
+        let [a, b, c] = corners(mesh, t);
+        let normal = (b - a).cross(c - a);
+        normals[t[0] as usize] += normal;
+        normals[t[1] as usize] += normal;
+        normals[t[2] as usize] += normal;
+    }
+    normals
+}
+
+fn classify(scene: &Scene, forms: &[Form], mut occluders: Vec<Occluder>) -> Vec<Class> {
     occluders.sort_by(|a, b| a.edge.total_cmp(&b.edge).then(a.prim.cmp(&b.prim)));
     let mut classes: Vec<Vec<Occluder>> = Vec::new();
     for occluder in occluders {
@@ -171,9 +203,9 @@ fn classify(scene: &Scene, mut occluders: Vec<Occluder>) -> Vec<Class> {
             |o: &Occluder| scene.mesh_of(&scene.prims[o.prim.index()]).triangles.len() as f32;
         let count: f32 = occluders.iter().map(triangles).sum();
         let sum: f32 = occluders.iter().map(|o| o.edge * triangles(o)).sum();
-        let bounds = occluders
-            .iter()
-            .fold(Bounds3::EMPTY, |all, o| all.union(bounds_of(scene, o)));
+        let bounds = occluders.iter().fold(Bounds3::EMPTY, |all, o| {
+            all.union(bounds_of(scene, forms, o))
+        });
         Class {
             edge: sum / count,
             occluders,
@@ -184,8 +216,8 @@ fn classify(scene: &Scene, mut occluders: Vec<Occluder>) -> Vec<Class> {
 }
 
 /// Bounds of the transformed box of a prim.
-fn bounds_of(scene: &Scene, occluder: &Occluder) -> Bounds3 {
-    let local = scene.mesh_of(&scene.prims[occluder.prim.index()]).bounds();
+fn bounds_of(scene: &Scene, forms: &[Form], occluder: &Occluder) -> Bounds3 {
+    let local = forms[scene.prims[occluder.prim.index()].mesh.index()].bounds;
     let half = (local.max - local.min).as_dvec3() * 0.5;
     let matrix = occluder.local_from_object.matrix3;
     let center = occluder

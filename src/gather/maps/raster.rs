@@ -1,8 +1,15 @@
 //! Triangles → two depth maps along one axis: what lies farthest along it, and farthest against it.
+//!
+//! What one triangle paints is spelled out in `plain.rs`; [`wide`] paints sixteen at a time, to the bit the same.
+
+#[cfg(test)]
+mod plain;
+mod wide;
 
 use super::axes::Axis;
-use super::decimate::Shell;
+use super::shell::Shell;
 use crate::math::Bounds3;
+use fearless_simd::Level;
 use glam::{DAffine3, DVec3, Vec3};
 
 /// Bits of a key below the depth: 9 of the prim's index, 1 of the facing.
@@ -32,13 +39,13 @@ pub(super) struct Piece<'a> {
     pub(super) is_solid: bool,
 }
 
-/// Depths along an axis (first of a pair) and against it (second), on a grid of pixels across it.
+/// Depths along an axis and against it, on a grid of pixels across it.
 ///
 /// A key is 0 where nothing is, else depth above tag, so that the larger key is the farther. The outermost pixels are
 /// always empty: whoever stands outside looks there.
-#[derive(Debug)]
+#[derive(Debug, Default, Clone, PartialEq)]
 pub(super) struct DepthMap {
-    /// Two a pixel, rows along the axis' `right`.
+    /// The pixels along the axis, then those against it, rows along the axis' `right`.
     pub(super) keys: Vec<u32>,
     pub(super) width: u32,
     pub(super) height: u32,
@@ -52,28 +59,22 @@ pub(super) struct DepthMap {
     pub(super) origin_depth: [f32; 2],
 }
 
-/// A corner in pixels and depth steps.
-type Corner = [f32; 3];
-
 impl DepthMap {
-    /// Draw `pieces`, which lie within `bounds`, at `pixel` units a pixel.
-    pub(super) fn draw(pieces: &[Piece<'_>], bounds: Bounds3, pixel: f32, axis: &Axis) -> Self {
-        let mut map = Self::empty(bounds, pixel, axis);
-        let mut corners = Vec::new();
+    /// Forget everything, keep the memory, and draw `pieces`, which lie within `bounds`, at `pixel` units a pixel.
+    pub(super) fn draw(
+        &mut self,
+        level: Level,
+        pieces: &[Piece<'_>],
+        (bounds, pixel): (Bounds3, f32),
+        axis: &Axis,
+    ) {
+        self.clear(bounds, pixel, axis);
         for piece in pieces {
-            map.project(piece, axis, &mut corners);
-            let flips = piece.local_from_object.matrix3.determinant() < 0.0;
-            let id = tag(piece.prim, false);
-            let painter = Painter {
-                front: id | u32::from(!flips),
-                back: id | u32::from(flips),
-                is_solid: piece.is_solid,
-            };
-            for t in piece.shell.triangles.iter() {
-                map.triangle(t.map(|i| corners[i as usize]), painter);
-            }
+            let brush = self.brush(piece, axis);
+            piece
+                .shell
+                .for_each(|blocks| wide::paint(level, self, &brush, blocks));
         }
-        map
     }
 
     #[expect(
@@ -81,91 +82,63 @@ impl DepthMap {
         clippy::cast_sign_loss,
         reason = "counts of pixels, a few thousand"
     )]
-    fn empty(bounds: Bounds3, pixel: f32, axis: &Axis) -> Self {
+    fn clear(&mut self, bounds: Bounds3, pixel: f32, axis: &Axis) {
         let center = bounds.center();
         let half = 0.5 * (bounds.max - bounds.min);
         let reach = |v: Vec3| v.abs().dot(half);
         let pixels = 1.0 / pixel;
         let low = |v: Vec3| (center.dot(v) - reach(v)) * pixels;
         let extent = |v: Vec3| (2.0 * reach(v) * pixels).ceil() + 3.0;
-        let (width, height) = (extent(axis.right) as u32, extent(axis.up) as u32);
+        self.width = extent(axis.right) as u32;
+        self.height = extent(axis.up) as u32;
         let (middle, depth) = (center.dot(axis.direction), reach(axis.direction));
         let steps = MOST_DEPTH / (2.0 * depth).max(f32::MIN_POSITIVE);
-        let steps = steps.min(MOST_DEPTH * pixels);
-        Self {
-            keys: vec![0; 2 * width as usize * height as usize],
-            width,
-            height,
-            pixels,
-            origin: [
-                1.0 + axis.shift.x - low(axis.right),
-                1.0 + axis.shift.y - low(axis.up),
-            ],
-            steps,
-            origin_depth: [
-                (depth - middle) * steps + 2.0,
-                (depth + middle) * steps + 2.0,
-            ],
-        }
+        self.steps = steps.min(MOST_DEPTH * pixels);
+        self.keys.clear();
+        self.keys.resize(2 * self.side(), 0);
+        self.pixels = pixels;
+        self.origin = [
+            1.0 + axis.shift.x - low(axis.right),
+            1.0 + axis.shift.y - low(axis.up),
+        ];
+        self.origin_depth = [
+            (depth - middle) * self.steps + 2.0,
+            (depth + middle) * self.steps + 2.0,
+        ];
     }
 
-    fn project(&self, piece: &Piece<'_>, axis: &Axis, corners: &mut Vec<Corner>) {
+    /// Pixels along the axis, and as many against it.
+    pub(super) fn side(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    fn brush(&self, piece: &Piece<'_>, axis: &Axis) -> Brush {
+        let affine = piece.local_from_object;
+        let center = affine.transform_point3(piece.shell.center.as_dvec3());
         let row = |along: Vec3, scale: f32, offset: f32| {
             let along = along.as_dvec3() * f64::from(scale);
-            let matrix = piece.local_from_object.matrix3;
             let linear = DVec3::new(
-                along.dot(matrix.x_axis),
-                along.dot(matrix.y_axis),
-                along.dot(matrix.z_axis),
+                along.dot(affine.matrix3.x_axis),
+                along.dot(affine.matrix3.y_axis),
+                along.dot(affine.matrix3.z_axis),
             );
-            let constant = along.dot(piece.local_from_object.translation) + f64::from(offset);
-            (linear.as_vec3(), rounded(constant))
+            (
+                linear.as_vec3(),
+                rounded(along.dot(center) + f64::from(offset)),
+            )
         };
-        let x = row(axis.right, self.pixels, self.origin[0]);
-        let y = row(axis.up, self.pixels, self.origin[1]);
-        let z = row(axis.direction, self.steps, self.origin_depth[0]);
-        let place = |&p: &Vec3| [x, y, z].map(|(linear, constant)| linear.dot(p) + constant);
-        corners.clear();
-        corners.extend(piece.shell.positions.iter().map(place));
-    }
-
-    /// Draw one triangle.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "pixel indices and depth steps within the map"
-    )]
-    #[inline]
-    fn triangle(&mut self, [a, b, c]: [Corner; 3], painter: Painter) {
-        let low = |k: usize| (a[k].min(b[k]).min(c[k]) - 0.5).max(0.0).ceil();
-        let high = |k: usize| a[k].max(b[k]).max(c[k]) - 0.5;
-        let (x0, x1, y0, y1) = (low(0), high(0), low(1), high(1));
-        if x0 > x1 || y0 > y1 {
-            return;
-        }
-        let Some(plane) = Plane::of([a, b, c]) else {
-            return;
-        };
-        let paint = painter.paint(plane.faces);
-        let top = self.origin_depth[0] + self.origin_depth[1];
-        let (columns, rows) = (self.width - 1, self.height - 1);
-        let (x0, x1) = (x0 as u32, (x1 as u32).min(columns));
-        for y in y0 as u32..=(y1 as u32).min(rows) {
-            let row = 2 * (y * self.width) as usize;
-            for x in x0..=x1 {
-                let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
-                if !plane.covers(px, py) {
-                    continue;
-                }
-                let depth = plane.depth(px, py);
-                let pair = &mut self.keys[row + 2 * x as usize..][..2];
-                if let Some(tag) = paint.along {
-                    pair[0] = pair[0].max((depth as u32) << TAG_BITS | tag);
-                }
-                if let Some(tag) = paint.against {
-                    pair[1] = pair[1].max(((top - depth) as u32) << TAG_BITS | tag);
-                }
-            }
+        let flips = affine.matrix3.determinant() < 0.0;
+        let id = tag(piece.prim, false);
+        Brush {
+            rows: [
+                row(axis.right, self.pixels, self.origin[0]),
+                row(axis.up, self.pixels, self.origin[1]),
+                row(axis.direction, self.steps, self.origin_depth[0]),
+            ],
+            top: self.origin_depth[0] + self.origin_depth[1],
+            front: id | u32::from(!flips),
+            back: id | u32::from(flips),
+            is_solid: piece.is_solid,
         }
     }
 }
@@ -176,82 +149,109 @@ fn rounded(x: f64) -> f32 {
     x as f32
 }
 
-/// Tags of a prim's triangles.
+/// How the triangles of a piece come into a map.
 #[derive(Debug, Clone, Copy)]
-struct Painter {
-    /// Seen from its front side.
+struct Brush {
+    /// Pixel column, pixel row and depth in steps along the axis, of a point relative to the shell's center.
+    rows: [(Vec3, f32); 3],
+    /// Depth along the axis plus depth against it, steps.
+    top: f32,
+    /// Tag of counter-clockwise triangles, as seen against the axis, in the map along it.
     front: u32,
-    /// Seen from its back.
+    /// Tag of clockwise ones.
     back: u32,
+    /// Only the map that sees the triangle's front is painted.
     is_solid: bool,
 }
 
-/// Tags to write for one triangle, `None` for nothing.
-#[derive(Debug, Clone, Copy)]
-struct Paint {
-    along: Option<u32>,
-    against: Option<u32>,
-}
+#[cfg(test)]
+mod tests {
+    use super::super::axes;
+    use super::super::shell::TriangleBlock;
+    use super::*;
+    use crate::trace::testing::Random;
 
-impl Painter {
-    /// `faces`: counter-clockwise as seen against the axis.
-    fn paint(self, faces: bool) -> Paint {
-        let (along, against) = if faces {
-            (self.front, self.back)
-        } else {
-            (self.back, self.front)
+    /// Triangles from a hundredth of a pixel to a hundred pixels, slivers and points among them.
+    fn triangles(random: &mut Random) -> (Vec<Vec3>, Vec<[u32; 3]>) {
+        let mut positions = Vec::new();
+        for i in 0..400_i32 {
+            let at = random.vector();
+            let size = 10.0_f32.powi(-(i % 5));
+            let (e, f) = (size * random.vector(), size * random.vector());
+            let corners = match i % 7 {
+                0 => [at, at + e, at + e + 1e-3 * f],
+                1 => [at; 3],
+                _ => [at, at + e, at + f],
+            };
+            positions.extend(corners);
+        }
+        let triangles = (0..400).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        (positions, triangles)
+    }
+
+    #[test]
+    fn sixteen_triangles_at_a_time_paint_bit_for_bit_what_the_definition_paints_at_any_level() {
+        let mut random = Random(3);
+        let (positions, triangles) = triangles(&mut random);
+        let mut shell = Shell::new(positions, triangles, Vec3::splat(0.1));
+        let bounds = Bounds3 {
+            min: Vec3::splat(-3.0),
+            max: Vec3::splat(3.0),
         };
-        let shows = |tag: u32| (!self.is_solid || tag & 1 == 1).then_some(tag);
-        Paint {
-            along: shows(along),
-            against: shows(against),
+        let piece = |shell, is_solid, y| Piece {
+            shell,
+            local_from_object: DAffine3::from_scale_rotation_translation(
+                DVec3::new(1.0, y, 1.0),
+                glam::DQuat::from_rotation_x(0.3),
+                DVec3::new(0.0, 0.1, 0.2),
+            ),
+            prim: 5,
+            is_solid,
+        };
+        shell.keep_blocks();
+        for axis in axes::axes(6) {
+            let pieces = [piece(&shell, true, 1.0), piece(&shell, false, -0.7)];
+            let mut plainly = DepthMap::default();
+            plainly.clear(bounds, 0.05, &axis);
+            for piece in &pieces {
+                let brush = plainly.brush(piece, &axis);
+                piece.shell.for_each(|blocks: &[TriangleBlock]| {
+                    for block in blocks {
+                        (0..16).for_each(|lane| plain::paint(&mut plainly, &brush, block, lane));
+                    }
+                });
+            }
+            assert!(plainly.keys.iter().filter(|&&key| key > 0).count() > 1000);
+            for level in [Level::baseline(), Level::new()] {
+                let mut widely = DepthMap::default();
+                widely.draw(level, &pieces, (bounds, 0.05), &axis);
+                assert!(widely == plainly, "{level:?}");
+            }
         }
     }
-}
 
-/// A triangle's edge functions and depth over the pixels.
-#[derive(Debug, Clone, Copy)]
-struct Plane {
-    a: Corner,
-    /// Edge vectors from each corner to the next, with the turning of the triangle made positive.
-    corners: [Corner; 3],
-    slope: [f32; 2],
-    range: [f32; 2],
-    /// Edge functions down to minus this count as inside.
-    slack: f32,
-    faces: bool,
-}
-
-impl Plane {
-    fn of([a, b, c]: [Corner; 3]) -> Option<Self> {
-        let (ux, uy, uz) = (b[0] - a[0], b[1] - a[1], b[2] - a[2]);
-        let (vx, vy, vz) = (c[0] - a[0], c[1] - a[1], c[2] - a[2]);
-        let area = ux * vy - uy * vx;
-        if area == 0.0 {
-            return None;
-        }
-        let faces = area > 0.0;
-        Some(Self {
-            a,
-            corners: if faces { [a, b, c] } else { [a, c, b] },
-            slope: [(uz * vy - vz * uy) / area, (vz * ux - uz * vx) / area],
-            range: [a[2].min(b[2]).min(c[2]), a[2].max(b[2]).max(c[2])],
-            slack: COVER * (1.0 + ux.abs() + uy.abs() + vx.abs() + vy.abs()),
-            faces,
-        })
-    }
-
-    #[inline]
-    fn covers(&self, x: f32, y: f32) -> bool {
-        (0..3).all(|k| {
-            let (p, q) = (self.corners[k], self.corners[(k + 1) % 3]);
-            (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]) >= -self.slack
-        })
-    }
-
-    #[inline]
-    fn depth(&self, x: f32, y: f32) -> f32 {
-        let depth = self.a[2] + self.slope[0] * (x - self.a[0]) + self.slope[1] * (y - self.a[1]);
-        depth.clamp(self.range[0], self.range[1])
+    #[test]
+    fn blocks_made_for_each_map_draw_what_kept_ones_draw() {
+        let (positions, triangles) = triangles(&mut Random(4));
+        let mut shell = Shell::new(positions, triangles, Vec3::ZERO);
+        let bounds = Bounds3 {
+            min: Vec3::splat(-3.0),
+            max: Vec3::splat(3.0),
+        };
+        let axis = axes::axes(3)[1];
+        let draw = |shell: &Shell<'_>| {
+            let piece = Piece {
+                shell,
+                local_from_object: DAffine3::IDENTITY,
+                prim: 0,
+                is_solid: false,
+            };
+            let mut map = DepthMap::default();
+            map.draw(Level::new(), &[piece], (bounds, 0.02), &axis);
+            map
+        };
+        let made = draw(&shell);
+        shell.keep_blocks();
+        assert!(draw(&shell) == made);
     }
 }

@@ -49,14 +49,11 @@ pub fn gather(
         gather::gather(scene, other, receivers, &rest, diagnostics)?
     };
     if !own.is_empty() {
-        let wanted = Wanted {
-            bent_normal: own.contains(&Aov::BentNormal),
-            harmonics: own.contains(&Aov::VisibilitySh),
-            ..Wanted::default()
-        };
-        let seen = visibility(plan, receivers, settings, &wanted, diagnostics)?;
-        let mut results = read(&own, &seen, receivers, scene.lighting);
-        hand_over(scene, other, (receivers, &seen), &mut results, diagnostics)?;
+        let mut ask =
+            |few: &Receivers, aovs: &[Aov]| gather::gather(scene, other, few, aovs, diagnostics);
+        let lighting = scene.lighting;
+        let receivers = (receivers, &own[..]);
+        let mut results = gather_sky((plan, settings), lighting, receivers, &mut ask, diagnostics)?;
         found.buffers.append(&mut results.buffers);
     }
     let place = |buffer: &AovBuffer| aovs.iter().position(|&aov| aov == buffer.aov);
@@ -64,30 +61,42 @@ pub fn gather(
     Ok(found)
 }
 
-/// Gather the ambiguous receivers by `other`, into their places.
-fn hand_over(
-    scene: GatherScene<'_>,
-    other: &dyn Engine,
-    (receivers, seen): (&Receivers, &Visibility),
-    results: &mut Results,
+/// Another engine: values of some receivers.
+pub type Ask<'a> = dyn FnMut(&Receivers, &[Aov]) -> Result<Results, Cancelled> + 'a;
+
+/// As [`gather()`], only `aovs` that maps support. `other` is called at most once, and not at all where no receiver is
+/// ambiguous: what it works with, a [`crate::trace::Tracer`] above all, need not be made before.
+///
+/// # Errors
+/// When cancelled.
+pub fn gather_sky(
+    (plan, settings): (&MapsPlan<'_>, &MapsSettings),
+    lighting: Option<&Lighting>,
+    (receivers, aovs): (&Receivers, &[Aov]),
+    other: &mut Ask<'_>,
     diagnostics: &Diagnostics,
-) -> Result<(), Cancelled> {
+) -> Result<Results, Cancelled> {
+    let wanted = Wanted {
+        bent_normal: aovs.contains(&Aov::BentNormal),
+        harmonics: aovs.contains(&Aov::VisibilitySh),
+        ..Wanted::default()
+    };
+    let seen = visibility(plan, receivers, settings, &wanted, diagnostics)?;
+    let mut results = read(aovs, &seen, receivers, lighting);
     let picked: Vec<usize> = (0..receivers.len())
         .filter(|&i| seen.ambiguous[i])
         .collect();
     if picked.is_empty() {
-        return Ok(());
+        return Ok(results);
     }
-    let aovs: Vec<Aov> = results.buffers.iter().map(|buffer| buffer.aov).collect();
-    let few = receivers.subset(&picked);
-    let better = gather::gather(scene, other, &few, &aovs, diagnostics)?;
+    let better = other(&receivers.subset(&picked), aovs)?;
     for (buffer, better) in results.buffers.iter_mut().zip(&better.buffers) {
         let n = buffer.aov.components();
         for (k, &i) in picked.iter().enumerate() {
             buffer.data[i * n..][..n].copy_from_slice(&better.data[k * n..][..n]);
         }
     }
-    Ok(())
+    Ok(results)
 }
 
 fn read(

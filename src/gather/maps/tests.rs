@@ -44,13 +44,17 @@ fn sixteen_at_a_time_see_bit_for_bit_what_the_definition_sees_at_any_level() {
     let stage = Stage::new(&plan, &settings);
     let views: Vec<View> = axes::axes(8)
         .iter()
-        .map(|axis| stage.view(&plan, axis, &wanted))
+        .map(|axis| {
+            let mut view = View::default();
+            stage.look_along(Level::new(), (&plan, &wanted), axis, &mut view);
+            view
+        })
         .collect();
     let channels = Channels::of(&wanted);
     let rules = Rules {
         bias: 0.5,
         max_distance: 1.0,
-        flat_margin: Rules::flat_margin(plan.radius),
+        flat_margin: Rules::flat_margin(plan.radius, plan.radius),
         weighted_channels: channels.weighted,
     };
     let bits = |blocks: &[Block], sums: &[Sums]| -> Vec<u32> {

@@ -1,7 +1,7 @@
 //! The looks of [`super::look`] for sixteen receivers at a time: the same operations in the same order, so the same
 //! bits on any processor.
 
-use super::crowd::{Block, LANES, Sums};
+use super::crowd::{Block, LANES, Lanes, Sums};
 use super::flat::FlatView;
 use super::look::{
     FOREIGN_SHARE, FOREIGN_UNCERTAIN, LEAST_COSINE, OWN_UNCERTAIN, Rules, SLOPE_SHARE, View,
@@ -23,23 +23,44 @@ pub(super) fn look(
     });
 }
 
+// No closures with vectors and no `array::map` in here: they are compiled without the processor's instructions.
+
+#[inline(always)]
+fn load<S: Simd>(simd: S, row: &Lanes) -> f32x16<S> {
+    f32x16::from_slice(simd, row)
+}
+
+#[inline(always)]
+fn load_vector<S: Simd>(simd: S, rows: &[Lanes; 3]) -> [f32x16<S>; 3] {
+    [
+        load(simd, &rows[0]),
+        load(simd, &rows[1]),
+        load(simd, &rows[2]),
+    ]
+}
+
+#[inline(always)]
+fn dot<S: Simd>(v: Vec3, p: &[f32x16<S>; 3]) -> f32x16<S> {
+    p[0] * v.x + p[1] * v.y + p[2] * v.z
+}
+
 #[inline(always)]
 fn look_block<S: Simd>(simd: S, (views, rules): (&[View], &Rules), block: &Block, sums: &mut Sums) {
-    let load = |row: &[f32; LANES]| f32x16::from_slice(simd, row);
-    let position = block.position.each_ref().map(load);
-    let normal = block.normal.each_ref().map(load);
+    let position = load_vector(simd, &block.position);
+    let normal = load_vector(simd, &block.normal);
     let tag = u32x16::from_slice(simd, &block.tag);
-    let (mut weight, mut open) = (load(&sums.weight), load(&sums.open));
-    let mut uncertain = load(&sums.uncertain);
+    let (mut weight, mut open) = (load(simd, &sums.weight), load(simd, &sums.open));
+    let mut uncertain = load(simd, &sums.uncertain);
     let zero = f32x16::splat(simd, 0.0);
     for view in views {
         let place = Place::of(simd, view, &position, &normal);
         let mut covered = zero.simd_gt(zero);
-        let mut unsure = covered;
+        let (mut unsure, mut far) = (covered, covered);
         for map in &view.maps {
             let verdict = map_verdict(simd, (map, rules), &place, tag);
             covered |= verdict.covered;
             unsure |= verdict.uncertain;
+            far |= verdict.far;
         }
         for flat in &view.flats {
             covered |= flat_covers(simd, (flat, rules), &place);
@@ -48,6 +69,7 @@ fn look_block<S: Simd>(simd: S, (views, rules): (&[View], &Rules), block: &Block
         weight += place.cosine;
         open += seen;
         uncertain += unsure.select(place.cosine, zero);
+        uncertain = (far & !covered).select(f32x16::splat(simd, f32::INFINITY), uncertain);
         let counted = seen.simd_gt(zero).select(f32x16::splat(simd, 1.0), zero);
         for (k, sum) in sums.channels.iter_mut().enumerate() {
             let factor = if k < rules.weighted_channels {
@@ -59,7 +81,7 @@ fn look_block<S: Simd>(simd: S, (views, rules): (&[View], &Rules), block: &Block
                 f32x16::splat(simd, view.channels[1][k]),
                 f32x16::splat(simd, view.channels[0][k]),
             );
-            (load(sum) + factor * value).store_slice(sum);
+            (load(simd, sum) + factor * value).store_slice(sum);
         }
     }
     weight.store_slice(&mut sums.weight);
@@ -82,7 +104,6 @@ struct Place<S: Simd> {
 impl<S: Simd> Place<S> {
     #[inline(always)]
     fn of(simd: S, view: &View, position: &[f32x16<S>; 3], normal: &[f32x16<S>; 3]) -> Self {
-        let dot = |v: Vec3, p: &[f32x16<S>; 3]| p[0] * v.x + p[1] * v.y + p[2] * v.z;
         let axis = &view.axis;
         let along = dot(axis.direction, normal);
         let (nr, nu) = (dot(axis.right, normal), dot(axis.up, normal));
@@ -107,9 +128,11 @@ impl<S: Simd> Place<S> {
 struct Verdict<S: Simd> {
     covered: mask32x16<S>,
     uncertain: mask32x16<S>,
+    far: mask32x16<S>,
 }
 
 #[expect(
+    clippy::cast_possible_truncation,
     clippy::cast_possible_wrap,
     reason = "maps are at most a few thousand pixels across"
 )]
@@ -120,28 +143,28 @@ fn map_verdict<S: Simd>(
     place: &Place<S>,
     own_tag: u32x16<S>,
 ) -> Verdict<S> {
-    let (zero, half) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, 0.5));
+    let half = f32x16::splat(simd, 0.5);
     let x = place.right * map.pixels + map.origin[0];
     let y = place.up * map.pixels + map.origin[1];
-    let pixel = |x: f32x16<S>, count: u32| -> i32x16<S> {
-        let last = f32x16::splat(simd, (count - 1) as f32);
-        x.max(zero).min(last).to_int()
-    };
-    let (column, row) = (pixel(x, map.width), pixel(y, map.height));
-    let pair = row * (map.width as i32) + column;
-    let side = place
-        .against
-        .select(i32x16::splat(simd, 1), i32x16::splat(simd, 0));
-    let key = gather(simd, &map.keys, pair + pair + side);
+    let (column, row) = (
+        whole(simd, x, map.width).to_int::<i32x16<S>>(),
+        whole(simd, y, map.height).to_int::<i32x16<S>>(),
+    );
+    let pixel = row * (map.width as i32) + column;
+    let side = place.against.select(
+        i32x16::splat(simd, map.side() as i32),
+        i32x16::splat(simd, 0),
+    );
+    let key = gather(simd, &map.keys, pixel + side);
     let steps_a_pixel = map.steps / map.pixels;
-    let middle = |pixel: i32x16<S>| -> f32x16<S> { pixel.to_float::<f32x16<S>>() + half };
-    let slide_x = (middle(column) - x) * place.slope[0];
-    let slide_y = (middle(row) - y) * place.slope[1];
+    let slide_x = (column.to_float::<f32x16<S>>() + half - x) * place.slope[0];
+    let slide_y = (row.to_float::<f32x16<S>>() + half - y) * place.slope[1];
     let origin = place.against.select(
         f32x16::splat(simd, map.origin_depth[1]),
         f32x16::splat(simd, map.origin_depth[0]),
     );
-    let own = place.depth * map.steps + origin + (slide_x + slide_y) * steps_a_pixel;
+    let slide = (slide_x + slide_y) * steps_a_pixel;
+    let own = place.depth * map.steps + origin + slide;
     let depth: i32x16<S> = (key >> TAG_BITS).bitcast();
     let above = depth.to_float::<f32x16<S>>() - own;
     let bias = (place.tangent * SLOPE_SHARE + 1.0) * (rules.bias * steps_a_pixel);
@@ -149,20 +172,32 @@ fn map_verdict<S: Simd>(
     let needed = is_own.select(bias, bias * FOREIGN_SHARE);
     let is_there = key.simd_gt(u32x16::splat(simd, 0));
     let own_unsure = above.simd_gt(bias * OWN_UNCERTAIN.0) & above.simd_lt(bias * OWN_UNCERTAIN.1);
-    let foreign_unsure = above.abs().simd_lt(bias * FOREIGN_UNCERTAIN);
-    let is_far = above.simd_gt(f32x16::splat(simd, rules.max_distance * map.steps));
-    let unsure = (is_own & own_unsure) | (!is_own & foreign_unsure) | is_far;
+    let covers = above.simd_gt(needed);
+    let foreign_unsure =
+        above.abs().simd_lt(bias * FOREIGN_UNCERTAIN) | (covers ^ (above + slide).simd_gt(needed));
+    let far = (above + bias).simd_gt(f32x16::splat(simd, rules.max_distance * map.steps));
     Verdict {
-        covered: is_there & above.simd_gt(needed),
-        uncertain: is_there & unsure,
+        covered: is_there & covers & !far,
+        uncertain: is_there & ((is_own & own_unsure) | (!is_own & foreign_unsure)),
+        far: is_there & covers & far,
     }
 }
 
-#[expect(clippy::cast_sign_loss, reason = "indices were clamped to the map")]
+/// Into the map; its fraction is dropped when it becomes an integer.
+#[inline(always)]
+fn whole<S: Simd>(simd: S, x: f32x16<S>, count: u32) -> f32x16<S> {
+    x.max(f32x16::splat(simd, 0.0))
+        .min(f32x16::splat(simd, (count - 1) as f32))
+}
+
 #[inline(always)]
 fn gather<S: Simd>(simd: S, keys: &[u32], index: i32x16<S>) -> u32x16<S> {
-    let index: [i32; LANES] = index.into();
-    u32x16::simd_from(simd, index.map(|i| keys[i as usize]))
+    let i: [u32; LANES] = index.bitcast::<u32x16<S>>().into();
+    let mut found = [0; LANES];
+    for k in 0..LANES {
+        found[k] = keys[i[k] as usize];
+    }
+    u32x16::simd_from(simd, found)
 }
 
 #[inline(always)]
@@ -171,14 +206,18 @@ fn flat_covers<S: Simd>(
     (flat, rules): (&FlatView, &Rules),
     place: &Place<S>,
 ) -> mask32x16<S> {
-    let at = |[a, b, c]: [f32; 3]| place.right * a + place.up * b + c;
-    let depth = at(flat.depth);
+    let depth = at(place, flat.depth);
     let above = place.against.select(-depth, depth) - place.depth;
     let mut covers = above.simd_gt(place.inverse_cosine * rules.flat_margin)
         & above.simd_lt(f32x16::splat(simd, rules.max_distance));
     let least = f32x16::splat(simd, -rules.flat_margin);
     for &edge in &flat.edges {
-        covers &= at(edge).simd_ge(least);
+        covers &= at(place, edge).simd_ge(least);
     }
     covers
+}
+
+#[inline(always)]
+fn at<S: Simd>(place: &Place<S>, [a, b, c]: [f32; 3]) -> f32x16<S> {
+    place.right * a + place.up * b + c
 }

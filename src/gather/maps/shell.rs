@@ -1,0 +1,88 @@
+//! Triangles in the shape in which maps draw them: sixteen to a block, each coordinate in a row.
+
+use super::crowd::{LANES, Lanes};
+use glam::Vec3;
+use std::borrow::Cow;
+
+/// Sixteen triangles: `corners[corner][axis]`, relative to their shell's center. Lanes without a triangle hold a
+/// single point, which covers nothing.
+#[derive(Debug, Clone)]
+pub(super) struct TriangleBlock {
+    pub(super) corners: [[Lanes; 3]; 3],
+}
+
+impl TriangleBlock {
+    const EMPTY: Self = Self {
+        corners: [[[0.0; LANES]; 3]; 3],
+    };
+
+    fn of(positions: &[Vec3], triangles: &[[u32; 3]], center: Vec3) -> Self {
+        let mut block = Self::EMPTY;
+        for (lane, triangle) in triangles.iter().enumerate() {
+            for (corner, &index) in block.corners.iter_mut().zip(triangle) {
+                let position = positions[index as usize] - center;
+                for (row, value) in corner.iter_mut().zip(position.to_array()) {
+                    row[lane] = value;
+                }
+            }
+        }
+        block
+    }
+}
+
+/// Triangles of one mesh, in object space.
+#[derive(Debug)]
+pub(super) struct Shell<'a> {
+    /// Coordinates are relative to this point, so that they are as small as the mesh is.
+    pub(super) center: Vec3,
+    positions: Cow<'a, [Vec3]>,
+    triangles: Cow<'a, [[u32; 3]]>,
+    /// All of them in blocks, or none: then they are made again for each map.
+    blocks: Vec<TriangleBlock>,
+}
+
+/// Blocks made at once where they are not kept: half of the first cache.
+const BLOCKS_AT_ONCE: usize = 32;
+
+impl<'a> Shell<'a> {
+    pub(super) fn new(
+        positions: impl Into<Cow<'a, [Vec3]>>,
+        triangles: impl Into<Cow<'a, [[u32; 3]]>>,
+        center: Vec3,
+    ) -> Self {
+        Self {
+            center,
+            positions: positions.into(),
+            triangles: triangles.into(),
+            blocks: Vec::new(),
+        }
+    }
+
+    /// Bytes that its blocks take if they are kept.
+    pub(super) fn block_bytes(&self) -> usize {
+        self.triangles.len().div_ceil(LANES) * size_of::<TriangleBlock>()
+    }
+
+    /// Keep all blocks from now on.
+    pub(super) fn keep_blocks(&mut self) {
+        let blocks = self.triangles.chunks(LANES);
+        self.blocks = blocks
+            .map(|triangles| TriangleBlock::of(&self.positions, triangles, self.center))
+            .collect();
+    }
+
+    /// Call `work` with all blocks, some at a time.
+    pub(super) fn for_each(&self, mut work: impl FnMut(&[TriangleBlock])) {
+        if !self.blocks.is_empty() {
+            work(&self.blocks);
+            return;
+        }
+        let mut some = Vec::with_capacity(BLOCKS_AT_ONCE);
+        for triangles in self.triangles.chunks(LANES * BLOCKS_AT_ONCE) {
+            let blocks = triangles.chunks(LANES);
+            some.clear();
+            some.extend(blocks.map(|t| TriangleBlock::of(&self.positions, t, self.center)));
+            work(&some);
+        }
+    }
+}
