@@ -199,7 +199,10 @@ impl<'a> Work<'a> {
             _ => Environment::None,
         };
         let indirect = any(Aov::needs_indirect);
-        let openness = any(|aov| matches!(aov, Aov::Occlusion | Aov::Visibility | Aov::BentNormal));
+        let openness = any(|aov| {
+            let open = matches!(aov, Aov::Occlusion | Aov::Visibility | Aov::BentNormal);
+            open || aov.error_of().is_some()
+        });
         Self {
             scene,
             material: any(Aov::needs_material),
