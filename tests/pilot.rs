@@ -5,15 +5,20 @@
 #[path = "support/scenes.rs"]
 mod scenes;
 
+#[allow(dead_code, reason = "every test file uses some of the builders")]
+#[path = "support/dense.rs"]
+mod dense;
+
 use glam::Vec3;
 use scenes::{SceneBuilder, Side, bowl, plate, receivers_in};
 use std::collections::HashMap;
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::diagnostics::{Cancelled, Diagnostics};
+use surflux::gather::maps::{self, MapsPlan, MapsSettings};
 use surflux::gather::{GatherScene, RadianceSource, RaysEngine, RaysSettings};
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::pilot::error::{Truth, statistics, values};
-use surflux::pilot::{Candidate, LightScenes, Method, Outcome, Pilot, choose};
+use surflux::pilot::{Candidate, LightScenes, Maps, Method, Outcome, Pick, Pilot, choose};
 use surflux::receivers::Receivers;
 use surflux::results::{Aov, AovBuffer, Results};
 use surflux::scene::Scene;
@@ -123,6 +128,16 @@ impl<'a> Setup<'a> {
         (aovs, tolerance): (&[Aov], f64),
         candidates: &[Candidate<'_>],
     ) -> Outcome {
+        self.choose_with(receivers, (aovs, tolerance), candidates, Maps::Never)
+    }
+
+    fn choose_with<'s>(
+        &'s self,
+        receivers: &'s Receivers,
+        (aovs, tolerance): (&'s [Aov], f64),
+        candidates: &'s [Candidate<'_>],
+        maps: Maps<'s>,
+    ) -> Outcome {
         let rays = |count, turn| Box::new(self.rays(count, turn)) as Box<dyn Method>;
         let pilot = Pilot {
             scenes: LightScenes {
@@ -134,6 +149,8 @@ impl<'a> Setup<'a> {
             tolerance,
             rays: &rays,
             candidates,
+            maps,
+            surfel_errors: &[],
         };
         choose(&pilot, &self.diagnostics).expect("not cancelled")
     }
@@ -197,7 +214,7 @@ fn light_that_no_engine_changes_is_estimated_by_its_own_samples() {
         (&[Aov::IrradianceDirect, Aov::Normal], 0.02),
         &[],
     );
-    assert!(outcome.rays.is_none() && outcome.candidate.is_none());
+    assert!(outcome.rays.is_none() && outcome.pick == Pick::Rays);
     let names: Vec<Aov> = outcome.errors.iter().map(|error| error.aov).collect();
     assert_eq!(names, [Aov::IrradianceDirect]);
     assert!(
@@ -271,10 +288,10 @@ fn a_cheaper_candidate_wins_only_if_it_meets_the_tolerance() {
     // 10 % off; and perfect, but after years of preparation.
     let useless = [candidate(wrong.clone(), 0.0), candidate(exact.clone(), 1e9)];
     let outcome = setup.choose(&receivers, wanted, &useless);
-    assert_eq!(outcome.candidate, None, "{:?}", outcome.trials);
+    assert_eq!(outcome.pick, Pick::Rays, "{:?}", outcome.trials);
     let field = [candidate(wrong, 0.0), candidate(exact, 0.0)];
     let outcome = setup.choose(&receivers, wanted, &field);
-    assert_eq!(outcome.candidate, Some(1), "{:?}", outcome.trials);
+    assert_eq!(outcome.pick, Pick::Candidate(1), "{:?}", outcome.trials);
     assert!(outcome.worst().is_some_and(|error| error < 0.01));
 }
 
@@ -286,4 +303,173 @@ fn no_receivers_and_few_receivers_are_no_trouble() {
     assert!(none.rays.is_none() && none.worst().is_none());
     let one = setup.choose(&receivers.subset(&[7]), (&[Aov::Occlusion], 0.02), &[]);
     assert!(one.rays.is_some_and(|rays| (16..=16_384).contains(&rays)));
+}
+
+/// Visibility of all vertices of a dense ball on a ground.
+struct Ball {
+    scene: Scene,
+    receivers: Receivers,
+}
+
+impl Ball {
+    fn new() -> Self {
+        let scene = dense::on_ground(dense::bumpy_ball(72, Vec3::ZERO), 8);
+        let receivers = dense::vertices(&scene);
+        Self { scene, receivers }
+    }
+}
+
+#[test]
+fn maps_are_taken_for_dense_meshes_and_keep_what_the_pilot_foretold() {
+    let ball = Ball::new();
+    let setup = Setup::new(&ball.scene);
+    let plan = MapsPlan::new(&ball.scene);
+    for tolerance in [0.05, 0.02] {
+        let wanted = (&[Aov::Visibility][..], tolerance);
+        let outcome = setup.choose_with(&ball.receivers, wanted, &[], Maps::IfCheaper(&plan, None));
+        let Pick::Maps {
+            settings,
+            handed_over,
+            others,
+        } = outcome.pick
+        else {
+            panic!("{:?}", outcome.trials);
+        };
+        assert_eq!(others, None, "nothing else was asked for");
+        let other = setup.rays(handed_over, 0.0);
+        let results = maps::gather(
+            setup.scene(&setup.lighting),
+            (&plan, &settings),
+            &other,
+            (&ball.receivers, &[Aov::Visibility]),
+            &setup.diagnostics,
+        )
+        .expect("not cancelled");
+        let check = outcome.check.expect("it was measured");
+        let estimate = check.errors(&results)[0].relative_rmse;
+        let held_out: Vec<usize> = (5..ball.receivers.len()).step_by(101).collect();
+        let few = ball.receivers.subset(&held_out);
+        let half = |turn| setup.run(4096, turn, &few, Aov::Visibility);
+        let truth = Truth::of_halves(&half(0.3), &half(0.58));
+        let all = values(&results, Aov::Visibility).expect("asked for");
+        let picked: Vec<f64> = held_out.iter().map(|&i| all[i]).collect();
+        let found = statistics(&picked, &truth).relative_rmse;
+        assert!(
+            (1.0 / 1.3..1.3).contains(&(found / estimate)),
+            "{tolerance}: {found} {estimate}"
+        );
+        assert!(found <= 1.15 * tolerance, "{tolerance}: {found}");
+    }
+}
+
+#[test]
+fn a_check_sees_what_went_wrong_after_the_pilot() {
+    let ball = Ball::new();
+    let setup = Setup::new(&ball.scene);
+    let plan = MapsPlan::new(&ball.scene);
+    let wanted = (&[Aov::Occlusion][..], 0.02);
+    let outcome = setup.choose_with(&ball.receivers, wanted, &[], Maps::Always(&plan, None));
+    assert!(matches!(outcome.pick, Pick::Maps { .. }));
+    let spoiled = AovBuffer {
+        aov: Aov::Occlusion,
+        data: vec![0.5; ball.receivers.len()],
+    };
+    let spoiled = Results {
+        buffers: vec![spoiled],
+    };
+    let check = outcome.check.expect("it was measured");
+    assert!(check.errors(&spoiled)[0].relative_rmse > 0.1);
+    // Few directions where many are needed: seen as well.
+    let settings = MapsSettings {
+        directions: 1,
+        ..MapsSettings::SMOOTH
+    };
+    let seen = maps::gather(
+        setup.scene(&setup.lighting),
+        (&plan, &settings),
+        &setup.rays(16, 0.0),
+        (&ball.receivers, &[Aov::Occlusion]),
+        &setup.diagnostics,
+    );
+    let errors = check.errors(&seen.expect("not cancelled"));
+    assert!(errors[0].relative_rmse > 0.1);
+}
+
+#[test]
+fn what_is_seen_on_the_way_to_light_costs_nothing_so_maps_are_not_asked() {
+    let (scene, receivers) = balls();
+    let setup = Setup::new(&scene);
+    let plan = MapsPlan::new(&scene);
+    // One bounce needs more rays than occlusion does, and they tell occlusion too.
+    let aovs = [Aov::Occlusion, Aov::IrradianceIndirect];
+    let maps = Maps::IfCheaper(&plan, None);
+    let outcome = setup.choose_with(&receivers, (&aovs, 0.05), &[], maps);
+    assert_eq!(outcome.pick, Pick::Rays, "{:?}", outcome.trials);
+    assert!(outcome.trials.iter().all(|trial| trial.engine != "maps"));
+}
+
+/// Spearman's rank correlation.
+fn rank_correlation(a: &[f64], b: &[f64]) -> f64 {
+    let ranks = |values: &[f64]| {
+        let mut order: Vec<usize> = (0..values.len()).collect();
+        order.sort_by(|&i, &j| values[i].total_cmp(&values[j]));
+        let mut ranks = vec![0.0; values.len()];
+        order
+            .iter()
+            .zip(0_u32..)
+            .for_each(|(&i, rank)| ranks[i] = f64::from(rank));
+        ranks
+    };
+    let (a, b) = (ranks(a), ranks(b));
+    let middle = 0.5 * (a.len() - 1) as f64;
+    let product: f64 = a
+        .iter()
+        .zip(&b)
+        .map(|(a, b)| (a - middle) * (b - middle))
+        .sum();
+    let square: f64 = a.iter().map(|a| (a - middle).powi(2)).sum();
+    product / square
+}
+
+/// Told over true rms, and the rank correlation of both.
+fn quality(told: &[f64], found: &[f64], truth: &[f64]) -> (f64, f64) {
+    let channels = found.len() / told.len();
+    let errors = found.iter().zip(truth).map(|(x, t)| (x - t).powi(2));
+    let errors: Vec<f64> = errors.collect();
+    let errors: Vec<f64> = errors
+        .chunks(channels)
+        .map(|one| (one.iter().sum::<f64>() / channels as f64).sqrt())
+        .collect();
+    let rms =
+        |values: &[f64]| (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt();
+    (rms(told) / rms(&errors), rank_correlation(told, &errors))
+}
+
+#[test]
+fn errors_of_single_receivers_are_of_the_true_size_and_mark_the_bad_ones() {
+    let (scene, all) = balls();
+    let setup = Setup::new(&scene);
+    let receivers = all.subset(&(3..all.len()).step_by(9).collect::<Vec<_>>());
+    for (aov, error) in [
+        (Aov::Visibility, Aov::ErrorVisibility),
+        (Aov::IrradianceIndirect, Aov::ErrorIrradianceIndirect),
+    ] {
+        let truth = setup.run(8192, 0.3, &receivers, aov);
+        for rays in [64, 256] {
+            let asked = [aov, error];
+            let scene = setup.scene(&setup.lighting);
+            let results = setup
+                .rays(rays, 0.0)
+                .gather(scene, &receivers, &asked, &setup.diagnostics)
+                .expect("not cancelled");
+            let [found, told] = asked.map(|aov| values(&results, aov).expect("asked for"));
+            let (size, correlation) = quality(&told, &found, &truth);
+            assert!(
+                (1.0 / 1.5..1.5).contains(&size),
+                "{aov}, {rays} rays: {size}"
+            );
+            // One draw of an error says little about its deviation: a perfect estimate of that reaches about 0.5.
+            assert!(correlation > 0.25, "{aov}, {rays} rays: {correlation}");
+        }
+    }
 }

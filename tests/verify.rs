@@ -131,7 +131,7 @@ fn fields(report: &Value) {
         names
     };
     assert_eq!(names("set"), ["pixels", "points", "surfels"]);
-    assert_eq!(names("engine"), ["paper", "rays"]);
+    assert_eq!(names("engine"), ["maps", "paper", "rays"]);
     assert_eq!(
         names("aov"),
         [
@@ -154,6 +154,14 @@ fn laws(rows: &[Value]) {
         let paper = sweep(rows, ("visibility", set), ("paper", "raster_resolution"));
         let best = paper.iter().map(|row| row.1).fold(f64::INFINITY, f64::min);
         assert!(best > 2.0 * last && best < 0.5, "{set}: {paper:?}");
+    }
+    for set in ["pixels", "points", "surfels"] {
+        // The scene is a floor, a ball and a block: fine maps with many directions show it to a few per cent.
+        let maps = sweep(rows, ("visibility", set), ("maps", "directions"));
+        let best = maps.iter().map(|row| row.1).fold(f64::INFINITY, f64::min);
+        assert!(maps.len() == 6 && best < 0.05, "{set}: {maps:?}");
+        let none = sweep(rows, ("irradiance_indirect", set), ("maps", "directions"));
+        assert!(none.is_empty(), "maps see no reflected light");
     }
     // One bounce at a tolerance of 1 % may be out of reach of the surfels asked for: it is told, not promised.
     let picked = |row: &&Value| !row["auto"].is_null() && row["aov"] == "visibility";

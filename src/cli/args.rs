@@ -116,11 +116,21 @@ pub(super) struct GatherArgs {
     #[arg(long, value_enum, default_value_t = EngineName::Auto)]
     pub(super) gather: EngineName,
     /// Error to meet, rms(x − truth) / mean |truth| of each AOV, 0.02 = 2 %: engine, rays and light samples follow.
-    #[arg(long, value_name = "T", value_parser = fraction, conflicts_with = "rays")]
+    #[arg(long, value_name = "T", value_parser = fraction,
+        conflicts_with_all = ["rays", "directions", "map_pixel", "map_cell"])]
     pub(super) tolerance: Option<f64>,
     /// Rays a receiver (engine rays without --tolerance).
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(16..=1_048_576))]
     pub(super) rays: u32,
+    /// Directions that depth maps are drawn along (engine maps without --tolerance).
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=65_536))]
+    pub(super) directions: u32,
+    /// Width of a map's pixel, in mean edges of the densest meshes (engine maps without --tolerance).
+    #[arg(long, value_name = "EDGES", default_value_t = 1.0, value_parser = positive)]
+    pub(super) map_pixel: f32,
+    /// Width of the cells that meshes are thinned to before they are drawn, in mean edges; below 1: as they are.
+    #[arg(long, value_name = "EDGES", default_value_t = 0.0, value_parser = not_negative)]
+    pub(super) map_cell: f32,
     /// Largest solid angle of a cluster, sr (engine paper).
     #[arg(long, alias = "maxsolidangle", value_name = "SR", default_value_t = 0.03, value_parser = positive)]
     pub(super) max_solid_angle: f32,
@@ -249,6 +259,9 @@ pub(super) enum EngineName {
     Auto,
     /// Rays against the scene, radiance read from the surfels at the hit.
     Rays,
+    /// Occlusion, visibility, bent normals and uniform skies by depth maps that all receivers share, the rest by rays:
+    /// for dense meshes and whole pictures.
+    Maps,
     /// The published method: surfels and clusters rasterized onto a cube.
     Paper,
 }
@@ -277,6 +290,13 @@ fn positive(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
         Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
         _ => Err("a number greater than 0 is needed".to_owned()),
+    }
+}
+
+fn not_negative(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value >= 0.0 && value.is_finite() => Ok(value),
+        _ => Err("a number of 0 or more is needed".to_owned()),
     }
 }
 

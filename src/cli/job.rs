@@ -6,8 +6,8 @@ use super::args::{
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
-    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,
-    VerifyJob,
+    BakeJob, Dome, EngineChoice, GatherJob, Job, MapsSettings, OutputJob, PointsJob, RenderJob,
+    StageJob, VerifyJob,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
@@ -130,6 +130,10 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
             aovs.push(aov);
         }
     }
+    let has_error = aovs.iter().find(|aov| aov.error_of().is_some());
+    if let (Some(aov), EngineName::Paper) = (has_error, args.gather) {
+        bail!("--aov {aov}: engine paper does not know its error at a receiver (use rays or maps)");
+    }
     if args.bounces == 0 && aovs.contains(&Aov::IrradianceIndirect) {
         bail!("--bounces 0 leaves nothing for irradiance_indirect (right: 1 or more)");
     }
@@ -139,10 +143,17 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
         engine: match args.gather {
             EngineName::Auto => EngineChoice::Auto,
             EngineName::Rays => EngineChoice::Rays,
+            EngineName::Maps => EngineChoice::Maps,
             EngineName::Paper => EngineChoice::Paper,
         },
         tolerance: args.tolerance,
         rays: args.rays,
+        maps: MapsSettings {
+            directions: args.directions,
+            pixel: args.map_pixel,
+            cell: args.map_cell,
+            ..MapsSettings::default()
+        },
         max_solid_angle: args.max_solid_angle,
         raster_resolution: args.raster_resolution,
         max_distance: args.max_distance,
@@ -224,6 +235,7 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
             engine: EngineChoice::Auto,
             tolerance: None,
             rays: args.truth_rays,
+            maps: MapsSettings::default(),
             max_solid_angle: PAPER.0,
             raster_resolution: PAPER.1,
             max_distance: args.max_distance,

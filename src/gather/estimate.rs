@@ -75,6 +75,9 @@ pub fn estimate(
 /// Nor direct light, nor an environment unless it is `uniform`: they have samples of their own.
 fn measured(results: &Results, uniform: bool) -> Vec<Aov> {
     let depends = |&aov: &Aov| {
+        if aov.error_of().is_some() {
+            return false;
+        }
         matches!(aov, Aov::Occlusion | Aov::Visibility)
             || aov.needs_indirect()
             || (uniform && aov.needs_environment() && aov != Aov::IlluminationDirection)

@@ -206,13 +206,14 @@ impl<'a> Work<'a> {
         let asked = any(Aov::needs_environment);
         let environment = Environment::plan(scene.lighting.filter(|_| asked), aovs);
         let indirect = any(Aov::needs_indirect);
+        let openness = any(|aov| aov.is_openness() || aov.error_of().is_some());
         Self {
             scene,
             material: any(Aov::needs_material),
             direct: scene.lighting.filter(|_| any(Aov::needs_direct)),
             environment,
             indirect,
-            hemisphere: indirect || any(Aov::is_openness) || environment.needs_hemisphere(),
+            hemisphere: indirect || openness || environment.needs_hemisphere(),
         }
     }
 

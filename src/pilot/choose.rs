@@ -1,11 +1,14 @@
 //! The choice itself.
 
+use super::check::Check;
 use super::clock::Clock;
 use super::error::{mean_magnitude, measured_as, relative, rms_difference, values};
-use super::light::{self, LightError, LightScenes};
-use super::{Candidate, Knobs, Method};
+use super::light::{self, LightError};
+use super::sky::{self, SkyBid};
+use super::{Candidate, Maps, Method, Outcome, Pick, Pilot, Trial};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::estimate::spread;
+use crate::gather::maps;
 use crate::gather::{ErrorEstimate, GatherScene};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
@@ -28,7 +31,7 @@ const RUNG: u32 = 4;
 const REFERENCE: f64 = 4.0;
 
 /// Share of the tolerance aimed at: the error of a few receivers is that of all within about a tenth.
-const AIM: f64 = 0.9;
+pub(super) const AIM: f64 = 0.9;
 
 /// The pilot looks at one in so many receivers: the reference and the check cost about five times the run's rays there,
 /// so 8 % of the run.
@@ -41,80 +44,6 @@ const MOST: usize = 256;
 /// Receivers that tell whether a candidate's cost is worth a closer look.
 const GLANCE: usize = 16;
 
-/// What to choose for.
-pub struct Pilot<'a, 'c> {
-    /// Geometry, materials, lights.
-    pub scenes: LightScenes<'a>,
-    /// All receivers of the run.
-    pub receivers: &'a Receivers,
-    /// All AOVs of the run.
-    pub aovs: &'a [Aov],
-    /// Relative RMSE to meet, above 0.
-    pub tolerance: f64,
-    /// Rays: how many, and the turn of their pattern (0 = the run's).
-    pub rays: &'a dyn Fn(u32, f32) -> Box<dyn Method + 'a>,
-    /// Everything else that could do the job, cheap settings of an engine before dear ones.
-    pub candidates: &'a [Candidate<'c>],
-}
-
-impl std::fmt::Debug for Pilot<'_, '_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Pilot")
-            .field("receivers", &self.receivers.len())
-            .field("aovs", &self.aovs)
-            .field("tolerance", &self.tolerance)
-            .field("candidates", &self.candidates)
-            .finish_non_exhaustive()
-    }
-}
-
-/// One candidate as measured.
-#[derive(Debug, Clone, serde::Serialize)]
-pub struct Trial {
-    /// Engine.
-    pub engine: &'static str,
-    /// Settings.
-    #[serde(serialize_with = "knobs_as_map")]
-    pub knobs: Knobs,
-    /// Processor seconds of gathering a receiver.
-    pub seconds_per_receiver: f64,
-    /// Relative RMSE over that allowed, of the worst AOV; none where the cost alone ruled it out.
-    pub error_over_tolerance: Option<f64>,
-}
-
-fn knobs_as_map<S: serde::Serializer>(knobs: &Knobs, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_map(knobs.iter().copied())
-}
-
-/// What the pilot found.
-#[derive(Debug, Clone)]
-pub struct Outcome {
-    /// Index of the chosen candidate; `None`: rays.
-    pub candidate: Option<usize>,
-    /// Rays that meet the tolerance, whether chosen or not; `None` if no AOV depends on them.
-    pub rays: Option<u32>,
-    /// Times the usual light samples that the tolerance needs.
-    pub light_scale: u32,
-    /// Expected error of the run, one an AOV that has any.
-    pub errors: Vec<ErrorEstimate>,
-    /// Everything measured; the last one of its engine is the one to compare.
-    pub trials: Vec<Trial>,
-    /// Receivers looked at.
-    pub receivers: usize,
-    /// Processor seconds it all took.
-    pub seconds: f64,
-}
-
-impl Outcome {
-    /// The largest of [`Self::errors`]; `None` without any.
-    pub fn worst(&self) -> Option<f64> {
-        self.errors
-            .iter()
-            .map(|error| error.relative_rmse)
-            .reduce(f64::max)
-    }
-}
-
 /// The cheapest way to meet the tolerance, or the most exact one if none does. Deterministic but for the choice between
 /// engines, which hangs on measured time.
 ///
@@ -122,17 +51,21 @@ impl Outcome {
 /// When cancelled.
 pub fn choose(pilot: &Pilot<'_, '_>, diagnostics: &Diagnostics) -> Result<Outcome, Cancelled> {
     let start = Clock::start();
-    let count = pilot.receivers.len();
-    let picks = (count / ONE_IN).clamp(FEWEST, MOST).min(count);
-    let few = pilot.receivers.subset(&spread(count, picks));
+    let picks = picks(pilot.receivers.len());
+    let few = pilot.receivers.subset(&picks);
     let light = {
         let coarse = (pilot.rays)(FIRST_RUNG, 0.0);
         light::measure(pilot, coarse.as_ref(), &few, diagnostics)?
     };
-    let mut bench = Bench::new(pilot, few, light, diagnostics);
+    let mut bench = Bench::new(pilot, (picks, few), light, diagnostics);
     let mut outcome = bench.choose()?;
     outcome.seconds = start.seconds();
     Ok(outcome)
+}
+
+/// The receivers that a pilot looks at, of `count`.
+pub fn picks(count: usize) -> Vec<usize> {
+    spread(count, (count / ONE_IN).clamp(FEWEST, MOST).min(count))
 }
 
 /// The pilot at work.
@@ -140,15 +73,27 @@ struct Bench<'b, 'a, 'c> {
     pilot: &'b Pilot<'a, 'c>,
     diagnostics: &'b Diagnostics,
     scene: GatherScene<'a>,
-    /// The pilot's receivers, and every other one of them.
+    /// The pilot's receivers, which of all they are, and every other one of them.
     few: Receivers,
+    picks: Vec<usize>,
     half: Receivers,
     light: LightError,
-    /// AOVs that depend on the engine, as they are measured, their means and what error of the engine they allow.
-    aovs: Vec<Aov>,
-    means: Vec<f64>,
-    allowed: Vec<f64>,
+    aovs: Vec<Measured>,
     trials: Vec<Trial>,
+}
+
+/// An AOV that depends on the engine.
+#[derive(Debug, Clone, Copy)]
+struct Measured {
+    /// As it is measured.
+    aov: Aov,
+    mean: f64,
+    /// What error of the engine it allows.
+    allowed: f64,
+    /// Its error that no engine changes.
+    fixed: f64,
+    /// True if it only asks for the sky, which maps see too.
+    is_sky: bool,
 }
 
 /// Results of one method, and what they cost.
@@ -167,10 +112,29 @@ struct Judge {
     share: f64,
 }
 
+/// Rays that each AOV needs, and the power that their error falls with.
+struct Ladder {
+    needed: Vec<f64>,
+    law: f64,
+}
+
+impl Ladder {
+    fn most(&self) -> f64 {
+        self.needed.iter().copied().fold(FEWEST_RAYS, f64::max)
+    }
+}
+
+/// What is best so far.
+struct Best {
+    pick: Pick,
+    seconds: f64,
+    errors: Vec<f64>,
+}
+
 impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
     fn new(
         pilot: &'b Pilot<'a, 'c>,
-        few: Receivers,
+        (picks, few): (Vec<usize>, Receivers),
         light: LightError,
         diagnostics: &'b Diagnostics,
     ) -> Self {
@@ -180,45 +144,81 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             pilot,
             diagnostics,
             few,
+            picks,
             half,
             light,
             aovs: Vec::new(),
-            means: Vec::new(),
-            allowed: Vec::new(),
             trials: Vec::new(),
         };
-        for (i, &aov) in pilot.aovs.iter().enumerate() {
-            let measured = measured_as(aov);
-            if !pilot.scenes.depends_on_engine(aov) || bench.aovs.contains(&measured) {
-                continue;
-            }
-            let left = pilot.tolerance.powi(2) - bench.light.relative[i].powi(2);
-            bench.aovs.push(measured);
-            bench.means.push(bench.light.means[i]);
-            // Light that misses the tolerance on its own leaves nothing: the engine then does not add much.
-            let least = 0.25 * pilot.tolerance * pilot.tolerance;
-            bench.allowed.push(left.max(least).sqrt());
+        for i in 0..pilot.aovs.len() {
+            bench.measure(i);
         }
         bench
     }
 
+    /// Add AOV `i` of the run to those that are measured, if it depends on the engine.
+    fn measure(&mut self, i: usize) {
+        let aov = self.pilot.aovs[i];
+        let measured = measured_as(aov);
+        let known = self.aovs.iter().any(|one| one.aov == measured);
+        if known || aov.error_of().is_some() || !self.pilot.scenes.depends_on_engine(aov) {
+            return;
+        }
+        let tolerance = self.pilot.tolerance;
+        let fixed = self.fixed(i);
+        let left = tolerance.powi(2) - fixed.powi(2);
+        // Light that misses the tolerance on its own leaves nothing: the engine then does not add much.
+        let least = 0.25 * tolerance * tolerance;
+        self.aovs.push(Measured {
+            aov: measured,
+            mean: self.light.means[i],
+            allowed: left.max(least).sqrt(),
+            fixed,
+            is_sky: maps::supports(aov, self.pilot.scenes.run.lighting),
+        });
+    }
+
+    /// Error of AOV `i` of the run that no engine changes: of direct light, and of the surfels.
+    fn fixed(&self, i: usize) -> f64 {
+        let surfels = self.pilot.surfel_errors.get(i).copied().unwrap_or(0.0);
+        self.light.relative[i].hypot(surfels)
+    }
+
     fn choose(&mut self) -> Result<Outcome, Cancelled> {
         if self.aovs.is_empty() || self.few.is_empty() {
-            return Ok(self.outcome(None, None, &[]));
+            return Ok(self.outcome(Pick::Rays, None, &[]));
         }
-        let (needed, law) = self.climb()?;
-        let judge = self.judge(needed, law)?;
-        let mut best = (
-            None,
-            self.run_seconds(judge.seconds_per_receiver),
-            judge.errors.clone(),
-        );
+        let mut ladder = self.climb()?;
+        let judge = self.judge(ladder.most(), ladder.law)?;
+        // What the check of the whole asks for, its hungriest AOV needs.
+        let grown = judge.rays / ladder.most();
+        ladder.needed.iter_mut().for_each(|rays| *rays *= grown);
+        let mut best = Best {
+            pick: Pick::Rays,
+            seconds: self.run_seconds(judge.seconds_per_receiver),
+            errors: judge.errors.clone(),
+        };
+        let mut too_dear = None;
         for (i, candidate) in self.pilot.candidates.iter().enumerate() {
-            if let Some((seconds, errors)) = self.try_candidate(candidate, &judge, best.1)? {
-                best = (Some(i), seconds, errors);
+            if too_dear == Some(candidate.engine) {
+                continue;
             }
+            if let Some((seconds, errors)) = self.try_candidate(candidate, &judge, best.seconds)? {
+                best = Best {
+                    pick: Pick::Candidate(i),
+                    seconds,
+                    errors,
+                };
+            }
+            // The next settings of this engine are dearer still.
+            let last = self.trials.last();
+            let is_dear = |trial: &&Trial| trial.error_over_tolerance.is_none();
+            too_dear = last.filter(is_dear).map(|trial| trial.engine);
         }
-        Ok(self.outcome(best.0, Some(round(judge.rays)), &best.2))
+        if let Some(better) = self.try_maps(&ladder, &judge, best.seconds)? {
+            best = better;
+        }
+        Ok(self.outcome(best.pick, Some(judge), &best.errors))
     }
 
     fn run_seconds(&self, seconds_per_receiver: f64) -> f64 {
@@ -230,8 +230,9 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
     }
 
     fn look(&self, method: &dyn Method, receivers: &Receivers) -> Result<Look, Cancelled> {
+        let aovs: Vec<Aov> = self.aovs.iter().map(|one| one.aov).collect();
         let start = Clock::start();
-        let results = method.gather(self.scene, receivers, &self.aovs, self.diagnostics)?;
+        let results = method.gather(self.scene, receivers, &aovs, self.diagnostics)?;
         Ok(Look {
             results,
             seconds_per_receiver: start.seconds() / receivers.len().max(1) as f64,
@@ -240,32 +241,33 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
 
     /// Relative error of `run` for each AOV, when `truth`'s squared error is `share` times its own.
     fn errors(&self, run: &Results, truth: &Results, share: f64) -> Vec<f64> {
-        let of = |(&aov, &mean): (&Aov, &f64)| {
-            let run = values(run, aov).unwrap_or_default();
-            let truth = values(truth, aov).unwrap_or_default();
+        let of = |one: &Measured| {
+            let run = values(run, one.aov).unwrap_or_default();
+            let truth = values(truth, one.aov).unwrap_or_default();
             // The means of an engine that sees little light are that of all light: what is asked for.
-            let mean = if mean > 0.0 {
-                mean
+            let mean = if one.mean > 0.0 {
+                one.mean
             } else {
                 mean_magnitude(&truth)
             };
             relative(rms_difference(&run, &truth), mean) / (1.0 + share).sqrt()
         };
-        self.aovs.iter().zip(&self.means).map(of).collect()
+        self.aovs.iter().map(of).collect()
     }
 
-    /// The worst of `errors` over what is allowed.
+    /// Each of `errors` over what is allowed.
+    fn ratios(&self, errors: &[f64]) -> Vec<f64> {
+        let aovs = errors.iter().zip(&self.aovs);
+        aovs.map(|(error, one)| error / one.allowed).collect()
+    }
+
+    /// The worst of [`Self::ratios`].
     fn ratio(&self, errors: &[f64]) -> f64 {
-        errors
-            .iter()
-            .zip(&self.allowed)
-            .map(|(error, allowed)| error / allowed)
-            .fold(0.0, f64::max)
+        self.ratios(errors).into_iter().fold(0.0, f64::max)
     }
 
-    /// Double and redouble rays at half of the receivers until the number that the tolerance needs is in sight; that
-    /// number, and the power that the error falls with.
-    fn climb(&self) -> Result<(f64, f64), Cancelled> {
+    /// Double and redouble rays at half of the receivers until the number that the tolerance needs is in sight.
+    fn climb(&self) -> Result<Ladder, Cancelled> {
         let mut rays = FIRST_RUNG;
         let mut law = LAW;
         let mut before: Option<f64> = None;
@@ -275,13 +277,18 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
                 .rays(f64::from(rays * RUNG), turn(rung), &self.half)?
                 .results;
             let share = f64::from(RUNG).powf(-2.0 * law);
-            let ratio = self.ratio(&self.errors(&low, &high, share));
+            let errors = self.errors(&low, &high, share);
+            let ratio = self.ratio(&errors);
             if let Some(before) = before.filter(|_| ratio > 0.0) {
                 law = ((before / ratio).ln() / f64::from(RUNG).ln()).clamp(LAWS.0, LAWS.1);
             }
-            let needed = f64::from(rays) * (ratio / AIM).powf(1.0 / law);
-            if needed <= f64::from(2 * RUNG * rays) || f64::from(rays * RUNG) >= MOST_RAYS {
-                return Ok((needed.clamp(FEWEST_RAYS, MOST_RAYS), law));
+            let needed = |ratio: f64| f64::from(rays) * (ratio / AIM).powf(1.0 / law);
+            let is_last = f64::from(rays * RUNG) >= MOST_RAYS;
+            if needed(ratio) <= f64::from(2 * RUNG * rays) || is_last {
+                let ratios = self.ratios(&errors).into_iter();
+                let needed = ratios.map(|ratio| needed(ratio).clamp(FEWEST_RAYS, MOST_RAYS));
+                let needed = needed.collect();
+                return Ok(Ladder { needed, law });
             }
             (before, low, rays) = (Some(ratio), high, rays * RUNG);
         }
@@ -365,34 +372,151 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             .collect()
     }
 
-    fn outcome(&mut self, candidate: Option<usize>, rays: Option<u32>, engine: &[f64]) -> Outcome {
+    /// Maps for the sky and rays for the rest, if that takes less than `best` seconds (or has to be).
+    fn try_maps(
+        &mut self,
+        ladder: &Ladder,
+        judge: &Judge,
+        best: f64,
+    ) -> Result<Option<Best>, Cancelled> {
+        let (plan, max_distance, limit) = match self.pilot.maps {
+            Maps::Never => return Ok(None),
+            Maps::IfCheaper(plan, max_distance) => (plan, max_distance, best),
+            Maps::Always(plan, max_distance) => (plan, max_distance, f64::INFINITY),
+        };
+        let need = |is_sky: bool| {
+            let aovs = self.aovs.iter().zip(&ladder.needed);
+            let asked = aovs.filter(|(one, _)| one.is_sky == is_sky);
+            asked.map(|(_, &rays)| rays).reduce(f64::max)
+        };
+        let Some(sky_rays) = need(true) else {
+            return Ok(None);
+        };
+        let others = need(false);
+        // A ray costs the same for the sky and for light, about.
+        let ray = judge.seconds_per_receiver / judge.rays;
+        let others_seconds = self.run_seconds(ray * others.unwrap_or(0.0));
+        // Rays for light that are enough for the sky too tell it for nothing.
+        let is_free = others.is_some_and(|others| others >= sky_rays);
+        if limit.is_finite() && (others_seconds >= limit || is_free) {
+            return Ok(None);
+        }
+        let mut trials = std::mem::take(&mut self.trials);
+        let question = self.sky(judge, ray * sky_rays);
+        let start = sky::Start {
+            plan,
+            max_distance,
+            directions: sky_rays,
+            limit: limit - others_seconds,
+        };
+        let bid = sky::search(&question, &start, &mut trials, self.diagnostics)?;
+        self.trials = trials;
+        Ok(bid.map(|bid| self.with_maps(&bid, (sky_rays, others), judge)))
+    }
+
+    /// What maps are asked at the pilot's receivers.
+    fn sky(&self, judge: &Judge, ray_seconds: f64) -> sky::Question<'_> {
+        let aovs = self.aovs.iter().zip(&judge.errors);
+        let mut skies = aovs.filter(|(one, _)| one.is_sky);
+        let (first, error) = skies.next().expect("an AOV asks for the sky");
+        let truth = values(&judge.reference, first.aov).unwrap_or_default();
+        // Irradiance of a uniform sky is visibility, but for a factor that relative errors do not see.
+        let components = (truth.len() / self.few.len().max(1)).max(1);
+        let full = if first.aov == Aov::Visibility {
+            1.0
+        } else {
+            self.full_sky()
+        };
+        let visibility = |value: &[f64]| value.iter().sum::<f64>() / full;
+        let truth: Vec<f64> = truth.chunks(components).map(visibility).collect();
+        sky::Question {
+            scene: self.scene,
+            few: &self.few,
+            total: self.pilot.receivers.len(),
+            mean: mean_magnitude(&truth),
+            truth,
+            truth_error: judge.share.sqrt() * error,
+            allowed: AIM * first.allowed,
+            ray_seconds,
+        }
+    }
+
+    /// Sum over the channels of the irradiance of an open receiver.
+    fn full_sky(&self) -> f64 {
+        let sky = self
+            .scene
+            .lighting
+            .and_then(|light| light.uniform_environment());
+        let radiance = sky.map_or(0.0, |sky| f64::from(sky.element_sum()));
+        std::f64::consts::PI * radiance.max(f64::MIN_POSITIVE)
+    }
+
+    fn with_maps(
+        &self,
+        bid: &SkyBid,
+        (sky_rays, others): (f64, Option<f64>),
+        judge: &Judge,
+    ) -> Best {
+        let power = -LAW;
+        let errors = self.aovs.iter().zip(&judge.errors).map(|(one, &error)| {
+            if one.is_sky {
+                bid.error
+            } else {
+                error * (others.unwrap_or(judge.rays) / judge.rays).powf(power)
+            }
+        });
+        Best {
+            pick: Pick::Maps {
+                settings: bid.settings,
+                handed_over: round(sky_rays),
+                others: others.map(round),
+            },
+            seconds: bid.seconds,
+            errors: errors.collect(),
+        }
+    }
+
+    fn outcome(&mut self, pick: Pick, judge: Option<Judge>, engine: &[f64]) -> Outcome {
         let mut errors: Vec<ErrorEstimate> = Vec::new();
         for (i, &aov) in self.pilot.aovs.iter().enumerate() {
             let measured = measured_as(aov);
-            let engine = self
-                .aovs
-                .iter()
-                .position(|&one| one == measured)
-                .and_then(|k| engine.get(k))
-                .copied();
-            let light = self.light.relative[i];
-            let known = engine.is_some() || light > 0.0;
+            let place = self.aovs.iter().position(|one| one.aov == measured);
+            let engine = place.and_then(|k| engine.get(k)).copied();
+            let fixed = self.fixed(i);
+            let known = engine.is_some() || fixed > 0.0;
             if known && errors.iter().all(|error| error.aov != measured) {
                 errors.push(ErrorEstimate {
                     aov: measured,
-                    relative_rmse: engine.unwrap_or(0.0).hypot(light),
+                    relative_rmse: engine.unwrap_or(0.0).hypot(fixed),
                     receivers: self.few.len(),
                 });
             }
         }
         Outcome {
-            candidate,
-            rays,
+            pick,
+            rays: judge.as_ref().map(|judge| round(judge.rays)),
             light_scale: self.light.scale,
             errors,
             trials: std::mem::take(&mut self.trials),
             receivers: self.few.len(),
             seconds: 0.0,
+            check: judge.map(|judge| self.check(judge)),
+        }
+    }
+
+    fn check(&self, judge: Judge) -> Check {
+        let known = self.aovs.iter().zip(&judge.errors);
+        Check {
+            picks: self.picks.clone(),
+            aovs: known
+                .map(|(one, error)| super::check::Known {
+                    aov: one.aov,
+                    mean: one.mean,
+                    fixed: one.fixed,
+                    reference: judge.share.sqrt() * error,
+                })
+                .collect(),
+            truth: judge.reference,
         }
     }
 }

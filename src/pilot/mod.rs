@@ -5,15 +5,22 @@
 //! candidate that promises to be cheaper are judged by it, its own error taken out. Errors do not depend on the
 //! machine, costs do: two machines may choose different engines, never different errors beyond the tolerance.
 
+mod check;
 mod choose;
 pub mod clock;
 pub mod error;
 mod light;
+mod question;
+mod sky;
 
-pub use choose::{Outcome, Pilot, Trial, choose};
+pub use check::Check;
+pub use choose::{choose, picks};
 pub use light::LightScenes;
+pub use question::{Maps, Outcome, Pilot, Trial};
+pub use sky::knobs as maps_knobs;
 
 use crate::diagnostics::{Cancelled, Diagnostics};
+use crate::gather::maps::MapsSettings;
 use crate::gather::{self, Engine, GatherScene};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
@@ -44,6 +51,24 @@ impl<E: Engine> Method for E {
     ) -> Result<Results, Cancelled> {
         gather::gather(scene, self, receivers, aovs, diagnostics)
     }
+}
+
+/// What a pilot chose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Pick {
+    /// Rays for everything.
+    Rays,
+    /// The candidate of this index for everything.
+    Candidate(usize),
+    /// Maps for what asks for the sky alone.
+    Maps {
+        /// How they are drawn.
+        settings: MapsSettings,
+        /// Rays where maps cannot tell.
+        handed_over: u32,
+        /// Rays for all other AOVs.
+        others: Option<u32>,
+    },
 }
 
 /// Name and value of each knob.

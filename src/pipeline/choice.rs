@@ -3,13 +3,15 @@
 use super::Error;
 use super::gather::Stand;
 use super::job::{EngineChoice, GatherJob};
+use super::maps::{MapsKnobs, Promise};
 use super::report::{Report, timed};
 use super::world::World;
 use crate::diagnostics::Diagnostics;
+use crate::gather::maps::{self, MapsSettings};
 use crate::gather::{GatherScene, RaysSettings};
 use crate::lighting::{LightSamples, Lighting};
-use crate::pilot::{self, Candidate, Knobs, LightScenes, Method, Outcome, Pilot};
-use crate::results::Aov;
+use crate::pilot::{self, Candidate, Knobs, LightScenes, Maps, Method, Outcome, Pick, Pilot};
+use crate::results::{Aov, Results};
 
 /// What a run does.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,6 +28,8 @@ pub(super) enum Chosen {
     Rays(u32),
     /// Largest solid angle and raster resolution.
     Paper((f32, u32)),
+    /// Maps, and rays for what they do not see.
+    Maps(MapsKnobs),
 }
 
 impl Choice {
@@ -34,6 +38,14 @@ impl Choice {
             engine: match job.engine {
                 EngineChoice::Auto | EngineChoice::Rays => Chosen::Rays(job.rays),
                 EngineChoice::Paper => Chosen::Paper((job.max_solid_angle, job.raster_resolution)),
+                EngineChoice::Maps => Chosen::Maps(MapsKnobs {
+                    settings: MapsSettings {
+                        max_distance: job.max_distance,
+                        ..job.maps
+                    },
+                    handed_over: job.rays,
+                    others: job.rays,
+                }),
             },
             light_scale: 1,
         }
@@ -41,11 +53,22 @@ impl Choice {
 
     /// What the pilot found.
     pub(super) fn of(outcome: &Outcome) -> Self {
-        let rays = || Chosen::Rays(outcome.rays.unwrap_or(FEWEST_RAYS));
+        let rays = outcome.rays.unwrap_or(FEWEST_RAYS);
+        let engine = match outcome.pick {
+            Pick::Rays => Chosen::Rays(rays),
+            Pick::Candidate(i) => Chosen::Paper(PAPER_KNOBS[i]),
+            Pick::Maps {
+                settings,
+                handed_over,
+                others,
+            } => Chosen::Maps(MapsKnobs {
+                settings,
+                handed_over,
+                others: others.unwrap_or(FEWEST_RAYS),
+            }),
+        };
         Self {
-            engine: outcome
-                .candidate
-                .map_or_else(rays, |i| Chosen::Paper(PAPER_KNOBS[i])),
+            engine,
             light_scale: outcome.light_scale,
         }
     }
@@ -72,20 +95,47 @@ pub(super) const PAPER_KNOBS: [(f32, u32); 3] = [(0.1, 8), (0.03, 12), (0.01, 24
 /// Seconds a surfel to build an octree, roughly.
 const OCTREE_SECONDS: f64 = 0.3e-6;
 
+/// A choice and, where a pilot made it for the frame at hand, what else that found.
+pub(super) struct Found {
+    pub(super) choice: Choice,
+    pub(super) outcome: Option<Outcome>,
+}
+
+impl Found {
+    /// What maps have to keep, where they were not asked for by name.
+    pub(super) fn promise(&self, job: &GatherJob) -> Option<Promise> {
+        let check = self.outcome.as_ref()?.check.clone()?;
+        let tolerance = job.tolerance?;
+        (job.engine == EngineChoice::Auto).then_some(Promise { check, tolerance })
+    }
+
+    /// Replace what the pilot foretold by what came of it at the pilot's receivers.
+    pub(super) fn look_back(&self, results: &Results, report: &mut Report) {
+        let check = self.outcome.as_ref().and_then(|found| found.check.as_ref());
+        if let Some(check) = check {
+            report.error.replace(&check.errors(results));
+        }
+    }
+}
+
 /// The choice for the run at hand; a pilot measures where there is a tolerance, once for all frames: the same settings
 /// at every frame give results that differ only where the scene does.
 pub(super) fn choose(
     stand: &Stand<'_>,
     report: &mut Report,
     diagnostics: &Diagnostics,
-) -> Result<Choice, Error> {
+) -> Result<Found, Error> {
     let job = stand.job;
     report.error.is_of_pilot = false;
+    let known = |choice| Found {
+        choice,
+        outcome: None,
+    };
     let Some(tolerance) = job.tolerance.filter(|_| job.engine != EngineChoice::Paper) else {
-        return Ok(Choice::as_asked(job));
+        return Ok(known(Choice::as_asked(job)));
     };
     if let Some(choice) = report.choices.get(stand.aovs) {
-        return Ok(*choice);
+        return Ok(known(*choice));
     }
     let mut seconds = 0.0;
     let outcome = timed(&mut seconds, || look(stand, tolerance, diagnostics))?;
@@ -98,10 +148,16 @@ pub(super) fn choose(
             report.set("max_solid_angle", f64::from(max_solid_angle));
             report.set("raster_resolution", resolution);
         }
+        Chosen::Maps(knobs) => {
+            report.set("rays", knobs.handed_over.max(knobs.others));
+        }
     }
     report.set("light_samples_scale", choice.light_scale);
     report.choices.insert(stand.aovs.to_vec(), choice);
-    Ok(choice)
+    Ok(Found {
+        choice,
+        outcome: Some(outcome),
+    })
 }
 
 /// Rays of a run whose AOVs do not depend on them.
@@ -110,7 +166,9 @@ const FEWEST_RAYS: u32 = 16;
 /// Everything but rays that can do the job.
 pub(super) fn candidates<'s>(stand: &'s Stand<'_>) -> Vec<Candidate<'s>> {
     // Without surfels there is nothing to rasterize, and dicing for it would cost more than rays do.
-    if stand.job.engine != EngineChoice::Auto || stand.surfel_count() == 0 {
+    // Nor does the paper's engine know its error at a receiver.
+    let asks_error = stand.aovs.iter().any(|aov| aov.error_of().is_some());
+    if stand.job.engine != EngineChoice::Auto || stand.surfel_count() == 0 || asks_error {
         return Vec::new();
     }
     PAPER_KNOBS
@@ -159,6 +217,8 @@ pub(super) fn look(
         };
         Box::new(stand.rays_with(settings)) as Box<dyn Method>
     };
+    let sees_sky = |&aov: &Aov| maps::supports(aov, stand.scene().lighting);
+    let is_sky = stand.aovs.iter().any(sees_sky);
     let pilot = Pilot {
         scenes: LightScenes {
             run: stand.scene(),
@@ -172,6 +232,14 @@ pub(super) fn look(
         tolerance,
         rays: &rays,
         candidates: &candidates,
+        maps: match stand.job.engine {
+            EngineChoice::Auto if is_sky => {
+                Maps::IfCheaper(stand.maps_plan(), stand.job.max_distance)
+            }
+            EngineChoice::Maps if is_sky => Maps::Always(stand.maps_plan(), stand.job.max_distance),
+            _ => Maps::Never,
+        },
+        surfel_errors: stand.surfel_errors,
     };
     Ok(pilot::choose(&pilot, diagnostics)?)
 }

@@ -3,18 +3,22 @@
 use super::Error;
 use super::choice::{self, Chosen};
 use super::job::{EngineChoice, GatherJob};
+use super::maps::{self, MapsKnobs, MapsMethod, Promise};
 use super::report::{Report, timed};
+use super::spacing::{self, Lit};
 use super::world::World;
 use crate::bake::{self, BakeSettings, Baked};
-use crate::bounce::{self, BounceClouds, CoarseCloud};
+use crate::bounce::{BounceClouds, CoarseCloud};
 use crate::diagnostics::Diagnostics;
+use crate::gather::maps::MapsPlan;
 use crate::gather::paper::{PaperEngine, PaperSettings};
 use crate::gather::{
-    self, Engine, GatherScene, LoadedCloud, RadianceSource, RaysEngine, RaysFactory, RaysSettings,
+    self, GatherScene, LoadedCloud, RadianceSource, RaysEngine, RaysFactory, RaysSettings,
     Reference,
 };
 use crate::lighting::{LightSamples, Lighting};
 use crate::octree::Octree;
+use crate::pilot::Method;
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use crate::stage::cloud;
@@ -40,7 +44,7 @@ impl Light {
         }
     }
 
-    fn source(&self, world: &World<'_>) -> Option<RadianceSource<'_>> {
+    pub(super) fn source(&self, world: &World<'_>) -> Option<RadianceSource<'_>> {
         match self {
             Self::None => None,
             Self::Baked(baked) => Some(RadianceSource::Baked {
@@ -68,16 +72,16 @@ pub(super) fn gather(
     let (report, diagnostics) = run;
     report.counts.receivers = report.counts.receivers.max(receivers.len());
     report.counts.gathered = report.counts.receivers;
-    let light = light(world, receivers, aovs, job, (&mut *report, diagnostics))?;
-    report.counts.surfels = report.counts.surfels.max(light.len());
-    let stand = Stand::new(world, &light, receivers, aovs, job);
-    let choice = choice::choose(&stand, report, diagnostics)?;
-    let lighting = choice.lighting(world, diagnostics);
+    let lit = spacing::lit(world, (receivers, aovs), job, (&mut *report, diagnostics))?;
+    report.counts.surfels = report.counts.surfels.max(lit.light.len());
+    let stand = Stand::new(world, &lit, receivers, aovs, job);
+    let found = choice::choose(&stand, report, diagnostics)?;
+    let lighting = found.choice.lighting(world, diagnostics);
     let scene = GatherScene {
         lighting: Some(lighting.as_ref().unwrap_or(&world.lighting)),
         ..stand.scene()
     };
-    let results = match choice.engine {
+    let results = match found.choice.engine {
         Chosen::Rays(rays) => {
             let settings = stand.rays_settings(rays);
             let engine = stand.rays_with(settings);
@@ -86,12 +90,8 @@ pub(super) fn gather(
                 cost: settings.reference().rays / settings.rays.max(1),
                 error_share: RaysSettings::REFERENCE_ERROR_SHARE,
             };
-            see(
-                &stand,
-                scene,
-                (&engine, reference),
-                (&mut *report, diagnostics),
-            )?
+            let run = (&mut *report, diagnostics);
+            see(&stand, scene, ("rays", &engine, reference), run)?
         }
         Chosen::Paper(knobs) => {
             timed(&mut report.seconds.octree, || stand.octree());
@@ -101,12 +101,21 @@ pub(super) fn gather(
                 cost: PAPER_REFERENCE_COST,
                 error_share: 0.0,
             };
-            see(
-                &stand,
-                scene,
-                (&engine, reference),
-                (&mut *report, diagnostics),
-            )?
+            let run = (&mut *report, diagnostics);
+            see(&stand, scene, ("paper", &engine, reference), run)?
+        }
+        Chosen::Maps(knobs) => {
+            let method = stand.maps(&knobs, found.promise(job));
+            let reference = Reference {
+                engine: &stand.rays_with(stand.rays_settings(maps::REFERENCE_RAYS)),
+                cost: maps::REFERENCE_COST,
+                error_share: 0.0,
+            };
+            let run = (&mut *report, diagnostics);
+            let results = see(&stand, scene, ("maps", &method, reference), run)?;
+            method.record(&stand, report);
+            found.look_back(&results, report);
+            results
         }
     };
     report.counts.nodes = report.counts.nodes.max(stand.node_count());
@@ -121,8 +130,11 @@ const PAPER_REFERENCE_COST: u32 = 4;
 pub(super) struct Stand<'a> {
     world: &'a World<'a>,
     light: &'a Light,
+    /// Of each AOV, or nothing.
+    pub(super) surfel_errors: &'a [f64],
     source: Option<RadianceSource<'a>>,
     octree: OnceCell<Octree>,
+    maps_plan: OnceCell<MapsPlan<'a>>,
     pub(super) receivers: &'a Receivers,
     pub(super) aovs: &'a [Aov],
     pub(super) job: &'a GatherJob,
@@ -131,16 +143,18 @@ pub(super) struct Stand<'a> {
 impl<'a> Stand<'a> {
     pub(super) fn new(
         world: &'a World<'a>,
-        light: &'a Light,
+        lit: &'a Lit,
         receivers: &'a Receivers,
         aovs: &'a [Aov],
         job: &'a GatherJob,
     ) -> Self {
         Self {
             world,
-            light,
-            source: light.source(world),
+            light: &lit.light,
+            surfel_errors: &lit.errors,
+            source: lit.light.source(world),
             octree: OnceCell::new(),
+            maps_plan: OnceCell::new(),
             receivers,
             aovs,
             job,
@@ -184,6 +198,22 @@ impl<'a> Stand<'a> {
         PaperEngine::new(self.octree(), settings)
     }
 
+    /// Maps with these knobs, and rays for the rest.
+    pub(super) fn maps(&self, knobs: &MapsKnobs, promise: Option<Promise>) -> MapsMethod<'_> {
+        // Whoever is handed over asks for the sky alone: rays that need not know what they hit are faster.
+        let handed_over = self.rays_settings(knobs.handed_over);
+        let handed_over = RaysEngine::new(&self.world.tracer, None, handed_over);
+        let others = self.rays_with(self.rays_settings(knobs.others));
+        let map = (self.maps_plan(), knobs.settings);
+        MapsMethod::new(map, handed_over, others, promise)
+    }
+
+    /// What maps draw, looked at when first asked for.
+    pub(super) fn maps_plan(&self) -> &MapsPlan<'a> {
+        self.maps_plan
+            .get_or_init(|| MapsPlan::new(self.world.scene()))
+    }
+
     /// Surfels, 0 where no light is asked for.
     pub(super) fn surfel_count(&self) -> usize {
         self.light.len()
@@ -209,17 +239,17 @@ fn whole_cloud(light: &Light) -> SurfelCloud {
     }
 }
 
-/// Gather with `engine` and, where no pilot has, estimate its error against `reference`.
+/// Gather with `method` and, where no pilot has, estimate its error against `reference`.
 fn see(
     stand: &Stand<'_>,
     scene: GatherScene<'_>,
-    (engine, reference): (&dyn Engine, Reference<'_>),
+    (name, method, reference): (&str, &dyn Method, Reference<'_>),
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Results, Error> {
     let (receivers, aovs) = (stand.receivers, stand.aovs);
-    report.set("gather", engine.name());
+    report.set("gather", name);
     let results = timed(&mut report.seconds.gather, || {
-        gather::gather(scene, engine, receivers, aovs, diagnostics)
+        method.gather(scene, receivers, aovs, diagnostics)
     })?;
     if report.error.is_of_pilot {
         return Ok(results);
@@ -228,8 +258,7 @@ fn see(
         gather::estimate(scene, reference, receivers, &results, diagnostics)
     })?;
     let method = format!(
-        "{} on receivers of the run against {} as reference",
-        engine.name(),
+        "{name} on receivers of the run against {} as reference",
         reference.engine.name()
     );
     report.error.add(&estimates, method);
@@ -244,9 +273,7 @@ pub(super) fn light(
     job: &GatherJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Light, Error> {
-    let shines = !world.lighting.is_dark() || !job.clouds.is_empty();
-    let indirect = shines && job.bounces > 0 && aovs.iter().any(|aov| aov.needs_indirect());
-    if !indirect && job.engine != EngineChoice::Paper {
+    if !needs_surfels(world, aovs, job) && job.engine != EngineChoice::Paper {
         return Ok(Light::None);
     }
     if !job.clouds.is_empty() {
@@ -262,10 +289,26 @@ pub(super) fn light(
     let settings = job.bake_settings(receivers.len());
     let baked = dice(world, &settings, (&mut *report, diagnostics))?;
     report.set("spacing", f64::from(baked.cloud.spacing));
+    bounce(world, baked, job, (report, diagnostics))
+}
+
+/// True if some of `aovs` holds light that surfaces reflect.
+pub(super) fn needs_surfels(world: &World<'_>, aovs: &[Aov], job: &GatherJob) -> bool {
+    let shines = !world.lighting.is_dark() || !job.clouds.is_empty();
+    shines && job.bounces > 0 && aovs.iter().any(|aov| aov.needs_indirect())
+}
+
+/// `baked` after all reflections but the last.
+pub(super) fn bounce(
+    world: &World<'_>,
+    baked: Baked,
+    job: &GatherJob,
+    run: (&mut Report, &Diagnostics),
+) -> Result<Light, Error> {
     if job.bounces <= 1 {
         return Ok(Light::Baked(Box::new(baked)));
     }
-    let cloud = bounced(world, &baked, job, (report, diagnostics))?;
+    let cloud = bounced(world, &baked, job, run)?;
     Ok(Light::Baked(Box::new(Baked { cloud, ..baked })))
 }
 
@@ -327,7 +370,7 @@ fn bounced(
         }),
     };
     let cloud = timed(&mut report.seconds.gather, || {
-        bounce::bounce(clouds, &factory, job.bounces, diagnostics)
+        crate::bounce::bounce(clouds, &factory, job.bounces, diagnostics)
     })?;
     Ok(cloud)
 }

@@ -1,6 +1,7 @@
 //! Jobs as meant: everything that was typed, checked and resolved.
 
 use crate::bake::BakeSettings;
+use crate::gather::maps::MapsSettings;
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
 use crate::stage::Door;
@@ -52,6 +53,8 @@ pub enum EngineChoice {
     Auto,
     /// Ray tracing, radiance from surfels.
     Rays,
+    /// Depth maps for what only asks for the sky, rays for the rest.
+    Maps,
     /// The published method.
     Paper,
 }
@@ -69,6 +72,8 @@ pub struct GatherJob {
     pub tolerance: Option<f64>,
     /// Rays a receiver (without a tolerance).
     pub rays: u32,
+    /// Maps (without a tolerance); the distance below holds for them too.
+    pub maps: MapsSettings,
     /// sr.
     pub max_solid_angle: f32,
     /// Pixels.

@@ -5,14 +5,17 @@ mod choice;
 mod gather;
 mod info;
 mod job;
+mod maps;
 mod outputs;
 mod points;
 mod render;
 mod report;
+mod spacing;
 mod verify;
 mod view;
 mod world;
 
+pub use crate::gather::maps::MapsSettings;
 pub use info::{GeometrySummary, LightSummary, MaterialSummary, RenderSummary, StageSummary, info};
 pub use job::{
     BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,

@@ -70,6 +70,15 @@ impl ErrorReport {
         self.estimate = self.aovs.values().copied().reduce(f64::max);
         self.method = method;
     }
+
+    /// Put better estimates of the run at hand in place of those there are.
+    pub(super) fn replace(&mut self, estimates: &[ErrorEstimate]) {
+        for estimate in estimates {
+            let name = estimate.aov.name().to_owned();
+            self.aovs.insert(name, estimate.relative_rmse);
+        }
+        self.estimate = self.aovs.values().copied().reduce(f64::max);
+    }
 }
 
 /// Statistics of one run.
@@ -98,6 +107,9 @@ pub struct Report {
     /// What the pilot chose for each set of AOVs: later frames keep it.
     #[serde(skip)]
     pub(super) choices: BTreeMap<Vec<Aov>, Choice>,
+    /// Surfels that a tolerance asked for, for each set of AOVs.
+    #[serde(skip)]
+    pub(super) surfels: BTreeMap<Vec<Aov>, usize>,
 }
 
 impl Report {
@@ -115,6 +127,7 @@ impl Report {
             outputs: Vec::new(),
             warnings: Vec::new(),
             choices: BTreeMap::new(),
+            surfels: BTreeMap::new(),
         }
     }
 

@@ -1,17 +1,21 @@
 //! `surflux verify`: speed against error of every engine, on the scene that is given.
 
-use super::choice::{self, PAPER_KNOBS, paper_knobs};
+use super::choice::{self, Choice, Chosen, PAPER_KNOBS, paper_knobs};
 use super::gather::{Light, Stand, light};
-use super::job::VerifyJob;
+use super::job::{GatherJob, VerifyJob};
+use super::maps::{self, MapsKnobs, Promise};
 use super::report::Report;
+use super::spacing::{self, Lit};
 use super::view::camera;
 use super::world::{Needs, World, with_world};
 use super::{Error, outputs};
 use crate::diagnostics::Diagnostics;
 use crate::gather::estimate::spread;
+use crate::gather::maps::{MapsSettings, supports};
 use crate::gather::{GatherScene, RaysSettings};
 use crate::lighting::{LightSamples, Lighting};
 use crate::pilot::Method;
+use crate::pilot::clock::Clock;
 use crate::pilot::error::Truth;
 use crate::receivers::lens::Frame;
 use crate::receivers::{self, Receivers, primvar};
@@ -19,8 +23,8 @@ use crate::results::Aov;
 use crate::scene::PrimId;
 use crate::stage;
 use crate::verify::{
-    Auto, ErrorPicture, Machine, Question, Set, Subject, VerifyReport, label, look, measure, page,
-    picture, signed, truth,
+    Auto, ErrorPicture, Machine, Question, Sees, Set, Subject, VerifyReport, label, look, measure,
+    page, picture, signed, truth,
 };
 use crate::writers::write_whole;
 use std::time::Instant;
@@ -34,8 +38,25 @@ const RAYS: [u32; 5] = [16, 64, 256, 1024, 4096];
 /// Knobs of the paper's engine that are swept besides those that `auto` knows.
 const MORE_PAPER_KNOBS: [(f32, u32); 1] = [(0.3, 6)];
 
-/// Pixels across of the camera's set and pictures; the height follows the aperture.
+/// Maps that are swept: directions, pixel and cell in edges, bias in pixels.
+const MAPS: [(u32, f32, f32, f32); 6] = [
+    (64, 3.0, 3.0, 1.0),
+    (256, 3.0, 3.0, 1.0),
+    (64, 1.0, 0.0, 0.5),
+    (256, 1.0, 0.0, 0.5),
+    (1024, 1.0, 0.0, 0.5),
+    (256, 0.5, 0.0, 0.5),
+];
+
+/// Pixels across of the camera's set; the height follows the aperture.
+const SET_WIDTH: u32 = 128;
+
+/// Pixels across of pictures of errors: their truth takes a few thousand rays a pixel.
 const PICTURE_WIDTH: u32 = 64;
+
+/// Times the surfels in the truth, and how many at most: where errors fall with the spacing, theirs is a third.
+const FINER: f32 = 8.0;
+const MOST_SURFELS: usize = 1_000_000;
 
 /// Times the usual light samples in the truth.
 const TRUTH_LIGHT: u32 = 16;
@@ -83,18 +104,29 @@ fn sweep(
         &placed,
         &indirect,
         &job.gather,
-        (report, diagnostics),
+        (&mut *report, diagnostics),
     )?;
-    if let Light::Baked(baked) = &lit {
+    let lit = Lit::from(lit);
+    let finest = {
+        let finer = GatherJob {
+            spacing: job.gather.spacing.map(|spacing| spacing / FINER.sqrt()),
+            surfels: Some(finer_count(lit.light.len())),
+            ..job.gather.clone()
+        };
+        let run = (report, diagnostics);
+        Lit::from(light(world, &placed, &indirect, &finer, run)?)
+    };
+    if let Light::Baked(baked) = &lit.light {
         populations.push(("surfels", receivers::surfel::place(&baked.cloud)));
     }
-    let mut found = empty(job, world, lit.len());
+    let mut found = empty(job, world, lit.light.len());
     let finer = Lighting::new(world.shader, truth_samples(), diagnostics);
     let asked = asked(world);
     let arena = Arena {
         world,
         job,
         lit: &lit,
+        finest: &finest,
         surfels: &Stand::new(world, &lit, &placed, &indirect, &job.gather),
         finer: &finer,
     };
@@ -106,6 +138,11 @@ fn sweep(
         }
     }
     Ok(found)
+}
+
+/// Surfels of the truth for `count` of the run.
+fn finer_count(count: usize) -> usize {
+    (8 * count).min(MOST_SURFELS.max(count))
 }
 
 fn empty(job: &VerifyJob, world: &World<'_>, surfels: usize) -> VerifyReport {
@@ -151,14 +188,7 @@ fn populations(
     let scene = world.scene();
     let prims: Vec<PrimId> = (0_u32..).map(PrimId).take(scene.prims.len()).collect();
     let points = primvar::place(scene, &prims, crate::results::BakeInterpolation::Vertex);
-    let camera = camera(scene, job.camera.as_deref())?;
-    let aspect = if camera.horizontal_aperture > 0.0 {
-        camera.vertical_aperture / camera.horizontal_aperture
-    } else {
-        1.0
-    };
-    let frame = Frame::new(PICTURE_WIDTH, picture_height(aspect));
-    let pixels = receivers::camera::place(scene, &world.tracer, &camera, frame, 1);
+    let pixels = pixels(world, job, SET_WIDTH)?;
     let mut populations = vec![("points", points), ("pixels", pixels)];
     populations.retain(|(_, all)| !all.is_empty());
     if populations.is_empty() {
@@ -169,22 +199,41 @@ fn populations(
     Ok(populations)
 }
 
+/// What the camera sees, `width` pixels across.
+fn pixels(world: &World<'_>, job: &VerifyJob, width: u32) -> Result<Receivers, Error> {
+    let scene = world.scene();
+    let camera = camera(scene, job.camera.as_deref())?;
+    let aspect = if camera.horizontal_aperture > 0.0 {
+        camera.vertical_aperture / camera.horizontal_aperture
+    } else {
+        1.0
+    };
+    let frame = Frame::new(width, height(width, aspect));
+    Ok(receivers::camera::place(
+        scene,
+        &world.tracer,
+        &camera,
+        frame,
+        1,
+    ))
+}
+
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "clamped to 1…256"
+    reason = "clamped to 1…1024"
 )]
-fn picture_height(aspect: f64) -> u32 {
-    (f64::from(PICTURE_WIDTH) * aspect)
-        .round()
-        .clamp(1.0, 256.0) as u32
+fn height(width: u32, aspect: f64) -> u32 {
+    (f64::from(width) * aspect).round().clamp(1.0, 1024.0) as u32
 }
 
 /// What all measurements share.
 struct Arena<'a> {
     world: &'a World<'a>,
     job: &'a VerifyJob,
-    lit: &'a Light,
+    lit: &'a Lit,
+    /// Surfels of the truth.
+    finest: &'a Lit,
     /// For the octree, which all share.
     surfels: &'a Stand<'a>,
     finer: &'a Lighting,
@@ -200,45 +249,73 @@ impl Arena<'_> {
         diagnostics: &Diagnostics,
     ) -> Result<(), Error> {
         let aovs = [aov];
-        let none = Light::None;
+        let none = Light::None.into();
         // Rays that need not know what they hit are faster: visibility is measured as occlusion bakes compute it.
         let dark = !aov.needs_indirect();
-        let light = if dark { &none } else { self.lit };
-        let stand = Stand::new(self.world, light, all, &aovs, &self.job.gather);
-        let mut question = self.question(aov, &stand);
-        for tolerance in TOLERANCES {
-            question
-                .subjects
-                .push(auto(&stand, tolerance, diagnostics)?);
+        let lit = if dark { &none } else { self.lit };
+        let finest = if dark { &none } else { self.finest };
+        let stand = Stand::new(self.world, lit, all, &aovs, &self.job.gather);
+        let truth = Stand::new(self.world, finest, all, &aovs, &self.job.gather);
+        let tuned = self.tuned(all, aov, diagnostics)?;
+        let stand_on = |tuned| Stand::new(self.world, tuned, all, &aovs, &self.job.gather);
+        let stands: Vec<Stand<'_>> = tuned.iter().map(|(lit, _)| stand_on(lit)).collect();
+        let mut question = self.question(aov, &stand, &truth);
+        for ((stand, (_, seconds)), tolerance) in stands.iter().zip(&tuned).zip(TOLERANCES) {
+            let subject = auto(stand, tolerance, *seconds, diagnostics)?;
+            question.subjects.push(subject);
         }
-        let set = Set {
-            name,
-            receivers: all.subset(&spread(all.len(), self.job.receivers)),
-            population: all.len(),
-        };
+        let set = Set::new(name, all, spread(all.len(), self.job.receivers));
         let (summary, rows) = measure(&question, &set, diagnostics)?;
         found.truth.push(summary);
         found.rows.extend(rows);
         if name == "pixels" {
-            let pictures = pictures(&question, all, self.job.truth_rays, &stand, diagnostics)?;
+            let seen = pixels(self.world, self.job, PICTURE_WIDTH)?;
+            let pictures = pictures(&question, &seen, self.job.truth_rays, &stand, diagnostics)?;
             found.pictures.extend(pictures);
         }
         Ok(())
     }
 
-    fn question<'s>(&'s self, aov: Aov, stand: &'s Stand<'_>) -> Question<'s> {
+    /// Surfels as each tolerance asks for them, and the processor seconds that finding out took.
+    fn tuned(
+        &self,
+        all: &Receivers,
+        aov: Aov,
+        diagnostics: &Diagnostics,
+    ) -> Result<Vec<(Lit, f64)>, Error> {
+        let tune = |tolerance| {
+            let job = GatherJob {
+                tolerance: Some(tolerance),
+                ..self.job.gather.clone()
+            };
+            let clock = Clock::start();
+            let mut report = Report::new(&[]);
+            let run = (&mut report, diagnostics);
+            let lit = spacing::lit(self.world, (all, &[aov]), &job, run)?;
+            Ok((lit, clock.seconds()))
+        };
+        TOLERANCES.into_iter().map(tune).collect()
+    }
+
+    fn question<'s>(
+        &'s self,
+        aov: Aov,
+        stand: &'s Stand<'_>,
+        truth: &'s Stand<'_>,
+    ) -> Question<'s> {
         let half = |turn: f32| {
             let settings = RaysSettings {
                 turn,
-                ..stand.rays_settings(self.job.truth_rays)
+                ..truth.rays_settings(self.job.truth_rays)
             };
-            Box::new(stand.rays_with(settings)) as Box<dyn Method + 's>
+            Box::new(truth.rays_with(settings)) as Box<dyn Method + 's>
         };
         let rays = RAYS.iter().map(|&rays| Subject {
             engine: "rays",
             knobs: vec![("rays", f64::from(rays))],
             method: Box::new(stand.rays_with(stand.rays_settings(rays))) as Box<dyn Method + 's>,
             auto: None,
+            sees: Sees::Each,
         });
         let paper = MORE_PAPER_KNOBS
             .iter()
@@ -248,6 +325,32 @@ impl Arena<'_> {
                 knobs: paper_knobs(knobs),
                 method: Box::new(self.surfels.paper(knobs)) as Box<dyn Method + 's>,
                 auto: None,
+                sees: Sees::Each,
+            });
+        let maps = MAPS
+            .iter()
+            .filter(|_| supports(aov, stand.scene().lighting))
+            .map(|&(directions, pixel, cell, bias)| {
+                let settings = MapsSettings {
+                    directions,
+                    pixel,
+                    cell,
+                    bias,
+                    max_distance: self.job.gather.max_distance,
+                    ..MapsSettings::default()
+                };
+                let knobs = MapsKnobs {
+                    settings,
+                    handed_over: directions,
+                    others: directions,
+                };
+                Subject {
+                    engine: "maps",
+                    knobs: maps::names(&knobs),
+                    method: Box::new(stand.maps(&knobs, None)) as Box<dyn Method + 's>,
+                    auto: None,
+                    sees: Sees::All(None),
+                }
             });
         Question {
             aov,
@@ -258,7 +361,7 @@ impl Arena<'_> {
             },
             // Turns that neither the run's pattern (0) nor the pilot's (multiples of 1/√2) have.
             truth: [half(0.3), half(0.58)],
-            subjects: rays.chain(paper).collect(),
+            subjects: rays.chain(maps).chain(paper).collect(),
         }
     }
 }
@@ -267,32 +370,42 @@ impl Arena<'_> {
 fn auto<'s>(
     stand: &'s Stand<'_>,
     tolerance: f64,
+    surfel_seconds: f64,
     diagnostics: &Diagnostics,
 ) -> Result<Subject<'s>, Error> {
     let outcome = choice::look(stand, tolerance, diagnostics)?;
     let auto = Auto {
         tolerance,
         estimate: outcome.worst(),
-        pilot_microseconds: 1e6 * outcome.seconds / stand.receivers.len().max(1) as f64,
+        pilot_microseconds: 1e6 * (outcome.seconds + surfel_seconds)
+            / stand.receivers.len().max(1) as f64,
     };
-    let rays = outcome.rays.unwrap_or(RAYS[0]);
-    let (engine, knobs, method): (_, _, Box<dyn Method + 's>) = match outcome.candidate {
-        Some(i) => (
-            "paper",
-            paper_knobs(PAPER_KNOBS[i]),
-            Box::new(stand.paper(PAPER_KNOBS[i])),
-        ),
-        None => (
+    let (engine, knobs, method): (_, _, Box<dyn Method + 's>) = match Choice::of(&outcome).engine {
+        Chosen::Paper(knobs) => ("paper", paper_knobs(knobs), Box::new(stand.paper(knobs))),
+        Chosen::Rays(rays) => (
             "rays",
             vec![("rays", f64::from(rays))],
             Box::new(stand.rays_with(stand.rays_settings(rays))),
         ),
+        Chosen::Maps(knobs) => {
+            let promise = outcome
+                .check
+                .clone()
+                .map(|check| Promise { check, tolerance });
+            let method = Box::new(stand.maps(&knobs, promise));
+            ("maps", maps::names(&knobs), method)
+        }
     };
     Ok(Subject {
         engine,
         knobs,
         method,
         auto: Some(auto),
+        sees: if engine == "maps" {
+            Sees::All(outcome.check)
+        } else {
+            Sees::Each
+        },
     })
 }
 
@@ -313,7 +426,7 @@ fn pictures(
     let half = |turn: f32| {
         let settings = RaysSettings {
             turn,
-            ..stand.rays_settings(truth_rays.min(PICTURE_RAYS))
+            ..stand.rays_settings((truth_rays / 4).min(PICTURE_RAYS))
         };
         Box::new(stand.rays_with(settings)) as Box<dyn Method + '_>
     };
@@ -326,10 +439,10 @@ fn pictures(
     };
     let truth: Truth = truth(&shown, all, diagnostics)?;
     let wanted = |subject: &&Subject<'_>| {
-        let knob = |name| subject.knobs.iter().find(|(knob, _)| *knob == name);
-        let rays = knob("rays").is_some_and(|(_, n)| [64.0, 256.0].contains(n));
-        subject.auto.is_none()
-            && (rays || knob("raster_resolution").is_some_and(|(_, n)| *n == 12.0))
+        let is = |name, value: f64| subject.knobs.contains(&(name, value));
+        let maps = is("directions", 256.0) && is("pixel", 1.0);
+        let paper = is("raster_resolution", 12.0);
+        subject.auto.is_none() && (is("rays", 64.0) || is("rays", 256.0) || maps || paper)
     };
     let mut errors = Vec::new();
     for subject in question.subjects.iter().filter(wanted) {

@@ -98,6 +98,12 @@ aovs! {
     Depth, "depth", Float;
     /// Index of the prim; −1 where there is none.
     PrimId, "primId", Id;
+    /// About how wrong `occlusion` is at this receiver, absolute.
+    ErrorOcclusion, "error_occlusion", Float;
+    /// About how wrong `visibility` is at this receiver, absolute.
+    ErrorVisibility, "error_visibility", Float;
+    /// About how wrong `irradiance_indirect` is at this receiver, rms over its channels, radiance·sr.
+    ErrorIrradianceIndirect, "error_irradiance_indirect", Float;
 }
 
 impl Aov {
@@ -152,13 +158,28 @@ impl Aov {
     pub fn needs_indirect(self) -> bool {
         matches!(
             self,
-            Self::IrradianceIndirect | Self::Irradiance | Self::DiffuseIndirect | Self::Color
+            Self::IrradianceIndirect
+                | Self::Irradiance
+                | Self::DiffuseIndirect
+                | Self::Color
+                | Self::ErrorIrradianceIndirect
         )
+    }
+
+    /// The AOV whose error this is, if it is one.
+    pub fn error_of(self) -> Option<Self> {
+        match self {
+            Self::ErrorOcclusion => Some(Self::Occlusion),
+            Self::ErrorVisibility => Some(Self::Visibility),
+            Self::ErrorIrradianceIndirect => Some(Self::IrradianceIndirect),
+            _ => None,
+        }
     }
 
     /// True if it needs the hemisphere above the receiver at all.
     pub fn needs_hemisphere(self) -> bool {
         self.is_openness()
+            || self.error_of().is_some()
             || self.needs_direct()
             || self.needs_environment()
             || self.needs_indirect()

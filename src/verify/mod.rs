@@ -18,7 +18,7 @@ use crate::diagnostics::{Cancelled, Diagnostics, Silent};
 use crate::gather::GatherScene;
 use crate::pilot::clock::Clock;
 use crate::pilot::error::{ErrorStatistics, Truth, relative, statistics, values};
-use crate::pilot::{Knobs, Method};
+use crate::pilot::{Check, Knobs, Method};
 use crate::receivers::Receivers;
 use crate::results::Aov;
 use serde::Serialize;
@@ -26,15 +26,42 @@ use serde::Serialize;
 /// Passes over all subjects; odd, for the median.
 const PASSES: usize = 3;
 
+/// A pass that took longer than this many seconds is long enough for its time to mean something: it is the only one.
+const LONG_PASS: f64 = 0.3;
+
 /// Receivers of one kind.
 #[derive(Debug)]
-pub struct Set {
+pub struct Set<'a> {
     /// `points`, `surfels`, `pixels`.
     pub name: &'static str,
-    /// Those that are measured.
+    /// Those that errors are measured at.
     pub receivers: Receivers,
-    /// How many there are in all.
-    pub population: usize,
+    /// Which of all they are.
+    pub picks: Vec<usize>,
+    /// All there are.
+    pub all: &'a Receivers,
+}
+
+impl<'a> Set<'a> {
+    /// The receivers `picks` of `all`.
+    pub fn new(name: &'static str, all: &'a Receivers, picks: Vec<usize>) -> Self {
+        Self {
+            name,
+            receivers: all.subset(&picks),
+            picks,
+            all,
+        }
+    }
+}
+
+/// What a subject has to be given so that its time means something.
+#[derive(Debug, Clone)]
+pub enum Sees {
+    /// Some receivers: each costs the same.
+    Each,
+    /// All receivers at once: what they share is most of the cost. The check, if there is one, tells the error that a
+    /// run would report.
+    All(Option<Check>),
 }
 
 /// One engine with its settings.
@@ -48,6 +75,21 @@ pub struct Subject<'a> {
     pub method: Box<dyn Method + 'a>,
     /// Set if this is what `--tolerance` picks.
     pub auto: Option<Auto>,
+    /// How it is timed.
+    pub sees: Sees,
+}
+
+impl Subject<'_> {
+    fn receivers<'s>(&self, set: &'s Set<'_>) -> &'s Receivers {
+        match self.sees {
+            Sees::Each => &set.receivers,
+            Sees::All(_) => set.all,
+        }
+    }
+
+    fn count(&self, set: &Set<'_>) -> usize {
+        self.receivers(set).len()
+    }
 }
 
 /// A pick of the pilot.
@@ -224,48 +266,100 @@ pub fn look(
 /// When cancelled.
 pub fn measure(
     question: &Question<'_>,
-    set: &Set,
+    set: &Set<'_>,
     diagnostics: &Diagnostics,
 ) -> Result<(TruthSummary, Vec<Row>), Cancelled> {
     // Phases of a few microseconds would only flicker on the screen, and cost time while it is measured.
     let silent = Diagnostics::new(Box::new(Silent), diagnostics.cancel_token().clone());
     let truth = truth(question, &set.receivers, &silent)?;
+    let mut rows: Vec<Row> = Vec::new();
     let mut times = vec![Vec::with_capacity(PASSES); question.subjects.len()];
-    let mut found = vec![Vec::new(); question.subjects.len()];
-    for _ in 0..PASSES {
+    for pass in 0..PASSES {
         for (i, subject) in question.subjects.iter().enumerate() {
-            let timed = one_thread(|| {
-                let start = Clock::start();
-                let values = look(question, subject.method.as_ref(), &set.receivers, &silent);
-                (values, start.seconds())
-            });
-            found[i] = timed.0?;
-            times[i].push(timed.1);
+            let is_long = |seconds: &f64| *seconds * subject.count(set) as f64 > LONG_PASS;
+            if times[i].first().is_some_and(is_long) {
+                continue;
+            }
+            let timed = one_thread(|| run(question, subject, set, &silent))?;
+            times[i].push(timed.seconds);
+            if pass == 0 {
+                rows.push(row(question, subject, (set, &timed), &truth));
+            }
         }
     }
-    let count = set.receivers.len().max(1) as f64;
-    let rows = question.subjects.iter().zip(found).zip(times);
-    let rows = rows
-        .map(|((subject, found), times)| Row {
-            set: set.name,
-            aov: question.aov.name(),
-            engine: subject.engine,
-            settings: subject.knobs.clone(),
-            auto: subject.auto,
-            microseconds: 1e6 * median(times) / count,
-            error: statistics(&found, &truth),
-            errors: signed(&found, &truth),
-        })
-        .collect();
+    for (row, times) in rows.iter_mut().zip(times) {
+        row.microseconds = 1e6 * median(times);
+    }
     let summary = TruthSummary {
         set: set.name,
         aov: question.aov.name(),
         receivers: set.receivers.len(),
-        population: set.population,
+        population: set.all.len(),
         mean: truth.mean,
         standard_error: relative(truth.standard_error, truth.mean),
     };
     Ok((summary, rows))
+}
+
+/// One pass of one subject.
+struct Pass {
+    /// At the set's receivers.
+    values: Vec<f64>,
+    /// A receiver.
+    seconds: f64,
+    /// The error that a run would report, if it looks back at its results.
+    estimate: Option<f64>,
+}
+
+fn run(
+    question: &Question<'_>,
+    subject: &Subject<'_>,
+    set: &Set<'_>,
+    diagnostics: &Diagnostics,
+) -> Result<Pass, Cancelled> {
+    let receivers = subject.receivers(set);
+    let aovs = [question.aov];
+    let start = Clock::start();
+    let method = subject.method.as_ref();
+    let results = method.gather(question.scene, receivers, &aovs, diagnostics)?;
+    let seconds = start.seconds() / receivers.len().max(1) as f64;
+    let mut found = values(&results, question.aov).unwrap_or_default();
+    let mut estimate = None;
+    if let Sees::All(check) = &subject.sees {
+        let n = found.len() / receivers.len().max(1);
+        let picked = set.picks.iter().flat_map(|&i| &found[i * n..][..n]);
+        found = picked.copied().collect();
+        let errors = check.as_ref().map(|check| check.errors(&results));
+        let errors = errors.into_iter().flatten();
+        estimate = errors.map(|error| error.relative_rmse).reduce(f64::max);
+    }
+    Ok(Pass {
+        values: found,
+        seconds,
+        estimate,
+    })
+}
+
+fn row(
+    question: &Question<'_>,
+    subject: &Subject<'_>,
+    (set, pass): (&Set<'_>, &Pass),
+    truth: &Truth,
+) -> Row {
+    let auto = subject.auto.map(|auto| Auto {
+        estimate: pass.estimate.or(auto.estimate),
+        ..auto
+    });
+    Row {
+        set: set.name,
+        aov: question.aov.name(),
+        engine: subject.engine,
+        settings: subject.knobs.clone(),
+        auto,
+        microseconds: 1e6 * pass.seconds,
+        error: statistics(&pass.values, truth),
+        errors: signed(&pass.values, truth),
+    }
 }
 
 /// Error of each value over the truth's mean.

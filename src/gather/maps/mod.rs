@@ -151,6 +151,11 @@ const BLOCKS: usize = 64;
 /// Maps are at least this many pixels across, so that outlines of coarse meshes show.
 const LEAST_PIXELS: f32 = 192.0;
 
+/// The directions that `count` maps are drawn across, unit; every receiver looks along each one or against it.
+pub fn directions(count: u32) -> impl Iterator<Item = Vec3> {
+    axes::axes(count).into_iter().map(|axis| axis.direction)
+}
+
 /// What every receiver sees of the sky. The same bits for any number of threads.
 ///
 /// # Errors

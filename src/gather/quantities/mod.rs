@@ -5,6 +5,7 @@
 
 pub mod bent_normal;
 pub mod diffuse;
+pub mod error;
 pub mod geometry;
 pub mod harmonics;
 pub mod irradiance;
@@ -68,6 +69,8 @@ pub fn write(aov: Aov, seen: &Seen<'_>, out: &mut [f32]) {
         Aov::Position => put(out, geometry::world_position(seen)),
         Aov::Depth => out[0] = geometry::depth(seen),
         Aov::PrimId => out[0] = geometry::prim_id(seen),
+        Aov::ErrorOcclusion | Aov::ErrorVisibility => out[0] = error::openness(seen.hemisphere),
+        Aov::ErrorIrradianceIndirect => out[0] = error::indirect(seen.hemisphere),
     }
 }
 

@@ -1,0 +1,104 @@
+//! Results of the whole run → their error, by the pilot's reference at its few receivers.
+
+use super::error::{mean_magnitude, relative, rms_difference, values};
+use crate::gather::ErrorEstimate;
+use crate::results::{Aov, AovBuffer, Results};
+
+/// What the pilot knows about the truth at its receivers.
+#[derive(Debug, Clone)]
+pub struct Check {
+    /// Which receivers of the run.
+    pub(super) picks: Vec<usize>,
+    pub(super) aovs: Vec<Known>,
+    /// Values of `aovs` there, almost converged.
+    pub(super) truth: Results,
+}
+
+/// One AOV of a [`Check`].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Known {
+    pub(super) aov: Aov,
+    /// Mean magnitude; 0: that of the truth.
+    pub(super) mean: f64,
+    /// Relative error that truth and run have in common: of direct light's own samples and of the surfels.
+    pub(super) fixed: f64,
+    /// Relative error of the truth.
+    pub(super) reference: f64,
+}
+
+impl Check {
+    /// Error of `results`, one estimate an AOV of theirs that the pilot measured. Costs next to nothing: the values are
+    /// there.
+    pub fn errors(&self, results: &Results) -> Vec<ErrorEstimate> {
+        let few = subset(results, &self.picks);
+        let estimate = |known: &Known| {
+            let run = values(&few, known.aov)?;
+            let truth = values(&self.truth, known.aov)?;
+            let mean = if known.mean > 0.0 {
+                known.mean
+            } else {
+                mean_magnitude(&truth)
+            };
+            let both = relative(rms_difference(&run, &truth), mean);
+            let engine = (both * both - known.reference * known.reference).max(0.0);
+            Some(ErrorEstimate {
+                aov: known.aov,
+                relative_rmse: engine.sqrt().hypot(known.fixed),
+                receivers: self.picks.len(),
+            })
+        };
+        self.aovs.iter().filter_map(estimate).collect()
+    }
+}
+
+/// The values of the receivers `picks`.
+fn subset(results: &Results, picks: &[usize]) -> Results {
+    let few = |buffer: &AovBuffer| {
+        let n = buffer.aov.components();
+        let values = picks.iter().flat_map(|&i| &buffer.data[i * n..][..n]);
+        AovBuffer {
+            aov: buffer.aov,
+            data: values.copied().collect(),
+        }
+    };
+    Results {
+        buffers: results.buffers.iter().map(few).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn one(aov: Aov, data: &[f32]) -> Results {
+        Results {
+            buffers: vec![AovBuffer {
+                aov,
+                data: data.to_vec(),
+            }],
+        }
+    }
+
+    #[test]
+    fn errors_are_those_at_the_pilots_receivers_without_the_truths_own() {
+        let known = Known {
+            aov: Aov::Visibility,
+            mean: 0.5,
+            fixed: 0.0,
+            reference: 0.06,
+        };
+        let mut check = Check {
+            picks: vec![0, 2],
+            aovs: vec![known],
+            truth: one(Aov::Visibility, &[0.5, 0.5]),
+        };
+        // Off by 0.05 twice: 10 % of the mean; √(0.1² − 0.06²) = 8 % is the run's own.
+        let results = one(Aov::Occlusion, &[0.55, 9.0, 0.45]);
+        let found = check.errors(&results)[0];
+        assert!((found.relative_rmse - 0.08).abs() < 1e-6 && found.receivers == 2);
+        // What no engine changes comes on top: 6 % and 8 % make 10 %.
+        check.aovs[0].fixed = 0.06;
+        assert!((check.errors(&results)[0].relative_rmse - 0.1).abs() < 1e-6);
+        assert!(check.errors(&Results::default()).is_empty());
+    }
+}

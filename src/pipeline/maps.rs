@@ -1,0 +1,234 @@
+//! Maps in a run: what only asks for the sky by maps, rays for the rest and where maps cannot tell.
+
+use super::gather::Stand;
+use super::report::Report;
+use crate::diagnostics::{Cancelled, Diagnostics};
+use crate::gather::maps::{self, MapsPlan, MapsSettings};
+use crate::gather::{self, Engine, GatherScene, Hemisphere, RaysEngine};
+use crate::pilot::error::{mean_magnitude, rms_difference, values};
+use crate::pilot::{self, Check, Knobs, Method};
+use crate::receivers::Receivers;
+use crate::results::{Aov, AovBuffer, Results};
+use serde_json::json;
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// Rays that judge maps where no pilot has: at 1 % error of maps, theirs is at most a third.
+pub(super) const REFERENCE_RAYS: u32 = 512;
+
+/// What a receiver of the reference may cost over one of maps, in terms of a budget that is a tenth of the run. It
+/// costs more, 30 to 60, but runs that maps are good for have many receivers, and then few of them judge.
+pub(super) const REFERENCE_COST: u32 = 16;
+
+/// Settings of a run by maps.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct MapsKnobs {
+    pub(super) settings: MapsSettings,
+    /// Rays of receivers that maps cannot judge.
+    pub(super) handed_over: u32,
+    /// Rays for other AOVs.
+    pub(super) others: u32,
+}
+
+/// Gathers by maps and rays.
+#[derive(Debug)]
+pub(super) struct MapsMethod<'a> {
+    plan: &'a MapsPlan<'a>,
+    settings: MapsSettings,
+    handed_over: Counted<RaysEngine<'a>>,
+    others: RaysEngine<'a>,
+    promise: Option<Promise>,
+    is_redone: AtomicBool,
+}
+
+/// What has to be kept by the results at all receivers of the run.
+#[derive(Debug, Clone)]
+pub(super) struct Promise {
+    pub(super) check: Check,
+    pub(super) tolerance: f64,
+}
+
+impl<'a> MapsMethod<'a> {
+    /// With a promise, rays compute again what maps computed where these break it; receivers are then those of the
+    /// whole run.
+    pub(super) fn new(
+        (plan, settings): (&'a MapsPlan<'a>, MapsSettings),
+        handed_over: RaysEngine<'a>,
+        others: RaysEngine<'a>,
+        promise: Option<Promise>,
+    ) -> Self {
+        Self {
+            plan,
+            settings,
+            handed_over: Counted {
+                engine: handed_over,
+                receivers: AtomicUsize::new(0),
+            },
+            others,
+            promise,
+            is_redone: AtomicBool::new(false),
+        }
+    }
+
+    /// True if maps have broken their promise.
+    pub(super) fn is_redone(&self) -> bool {
+        self.is_redone.load(Ordering::Relaxed)
+    }
+
+    /// Tell `report` who computed what.
+    pub(super) fn record(&self, stand: &Stand<'_>, report: &mut Report) {
+        let lighting = stand.scene().lighting;
+        let engine = |aov: Aov| {
+            let is_map =
+                maps::supports(aov.error_of().unwrap_or(aov), lighting) && !self.is_redone();
+            let name = if is_map { "maps" } else { "rays" };
+            (aov.name().to_owned(), name.into())
+        };
+        let asked = stand.aovs.iter().filter(|aov| aov.needs_hemisphere());
+        let engines: serde_json::Map<_, _> = asked.map(|&aov| engine(aov)).collect();
+        report.set("engines", engines);
+        report.set("directions", self.settings.directions);
+        report.set("map_pixel", f64::from(self.settings.pixel));
+        report.set("map_cell", f64::from(self.settings.cell));
+        let count = self.handed_over.receivers.load(Ordering::Relaxed);
+        let share = count as f64 / stand.receivers.len().max(1) as f64;
+        report.set("handed_over", json!({ "count": count, "share": share }));
+    }
+
+    /// The AOVs of the sky by maps, where these keep their promise.
+    fn sky(
+        &self,
+        scene: GatherScene<'_>,
+        (receivers, aovs): (&Receivers, &[Aov]),
+        diagnostics: &Diagnostics,
+    ) -> Result<Results, Cancelled> {
+        self.handed_over.receivers.store(0, Ordering::Relaxed);
+        let map = (self.plan, &self.settings);
+        let seen = maps::gather(
+            scene,
+            map,
+            &self.handed_over,
+            (receivers, aovs),
+            diagnostics,
+        )?;
+        let keeps = |promise: &Promise| {
+            let errors = promise.check.errors(&seen);
+            errors
+                .iter()
+                .all(|error| error.relative_rmse <= promise.tolerance)
+        };
+        if self.promise.as_ref().is_none_or(keeps) {
+            return Ok(seen);
+        }
+        self.is_redone.store(true, Ordering::Relaxed);
+        gather::gather(
+            scene,
+            &self.handed_over.engine,
+            receivers,
+            aovs,
+            diagnostics,
+        )
+    }
+}
+
+impl Method for MapsMethod<'_> {
+    fn gather(
+        &self,
+        scene: GatherScene<'_>,
+        receivers: &Receivers,
+        aovs: &[Aov],
+        diagnostics: &Diagnostics,
+    ) -> Result<Results, Cancelled> {
+        let is_sky = |aov: Aov| maps::supports(aov.error_of().unwrap_or(aov), scene.lighting);
+        let (sky, rest): (Vec<Aov>, Vec<Aov>) = aovs.iter().partition(|&&aov| is_sky(aov));
+        let mut found = if rest.is_empty() {
+            Results::default()
+        } else {
+            gather::gather(scene, &self.others, receivers, &rest, diagnostics)?
+        };
+        if !sky.is_empty() {
+            let (errors, mut sky): (Vec<Aov>, Vec<Aov>) =
+                sky.iter().partition(|aov| aov.error_of().is_some());
+            let open = [Aov::Visibility, Aov::Occlusion];
+            if !errors.is_empty() && !sky.iter().any(|aov| open.contains(aov)) {
+                sky.push(Aov::Visibility);
+            }
+            let seen = self.sky(scene, (receivers, &sky), diagnostics)?;
+            if !errors.is_empty() {
+                let data = self.errors(&seen);
+                let buffer = |&aov: &Aov| AovBuffer {
+                    aov,
+                    data: data.clone(),
+                };
+                found.buffers.extend(errors.iter().map(buffer));
+            }
+            found.buffers.extend(seen.buffers);
+        }
+        found.buffers.retain(|buffer| aovs.contains(&buffer.aov));
+        let place = |buffer: &AovBuffer| aovs.iter().position(|&aov| aov == buffer.aov);
+        found.buffers.sort_by_key(place);
+        Ok(found)
+    }
+}
+
+/// Standard deviation of a verdict that maps err by, times the directions to the power 0.75: on a bumpy ball of 508 k
+/// triangles and a bunny, 64 to 256 directions.
+const VERDICT_ERROR: f64 = 1.2;
+
+impl MapsMethod<'_> {
+    /// About how wrong the visibility of each receiver is: nothing where all or nothing is open, most where half is. Of
+    /// the size that the pilot's receivers show, where there was a pilot.
+    fn errors(&self, seen: &Results) -> Vec<f32> {
+        let visibility = values(seen, Aov::Visibility).unwrap_or_default();
+        let shape: Vec<f64> = visibility
+            .iter()
+            .map(|v| (v * (1.0 - v)).max(0.0).sqrt())
+            .collect();
+        let none = vec![0.0; shape.len()];
+        let usual = VERDICT_ERROR * f64::from(self.settings.directions).powf(-0.75);
+        let measured = self.promise.as_ref().and_then(|promise| {
+            let errors = promise.check.errors(seen);
+            let error = errors.iter().find(|error| error.aov == Aov::Visibility)?;
+            let rms = error.relative_rmse * mean_magnitude(&visibility);
+            let size = rms_difference(&shape, &none);
+            (size > 0.0).then(|| rms / size)
+        });
+        let scale = measured.unwrap_or(usual);
+        #[expect(clippy::cast_possible_truncation, reason = "rounded once, at its end")]
+        let error = |shape: f64| (scale * shape) as f32;
+        shape.into_iter().map(error).collect()
+    }
+}
+
+/// An engine that counts its receivers.
+#[derive(Debug)]
+struct Counted<E> {
+    engine: E,
+    receivers: AtomicUsize,
+}
+
+impl<E: Engine> Engine for Counted<E> {
+    fn see(
+        &self,
+        receivers: &Receivers,
+        block: Range<usize>,
+        scratch: &mut Hemisphere,
+        visit: &mut dyn FnMut(usize, &Hemisphere),
+    ) {
+        self.receivers.fetch_add(block.len(), Ordering::Relaxed);
+        self.engine.see(receivers, block, scratch, visit);
+    }
+
+    fn name(&self) -> &'static str {
+        self.engine.name()
+    }
+
+    fn block_size(&self) -> usize {
+        self.engine.block_size()
+    }
+}
+
+/// The knobs as tables name them.
+pub(super) fn names(knobs: &MapsKnobs) -> Knobs {
+    pilot::maps_knobs(&knobs.settings)
+}
