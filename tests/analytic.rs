@@ -17,7 +17,8 @@ use surflux::gather::{
     GatherScene, RadianceSource, RaysEngine, RaysFactory, RaysSettings, Reference, estimate, gather,
 };
 use surflux::lighting::{LightSamples, Lighting};
-use surflux::math::Bounds3;
+use surflux::math::sh::Sh9;
+use surflux::math::{Bounds3, sequence};
 use surflux::receivers::Receivers;
 use surflux::results::{Aov, Results};
 use surflux::scene::{PrimId, Scene};
@@ -235,6 +236,46 @@ fn a_sphere_alone_under_a_uniform_sky_sees_all_of_it() {
     for (bent, normal) in bent.iter().zip(colors(&results, Aov::Normal)) {
         // Directions below a facet are mirrored at it, which turns their mean a little.
         assert!(bent.dot(normal) > 0.998, "{bent} {normal}");
+    }
+}
+
+#[test]
+fn visibility_harmonics_of_an_open_plane_and_beside_a_wall_are_those_of_what_is_open() {
+    let on_a_floor = || {
+        let mut builder = SceneBuilder::new();
+        let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+        let corner = Vec3::new(-1.0, 0.0, -1.0);
+        let square = plate(corner, Vec3::Z * 2.0, Vec3::X * 2.0, 1);
+        let floor = builder.mesh("floor", square, gray);
+        (builder, floor, gray)
+    };
+    let (builder, floor, _) = on_a_floor();
+    let open = builder.build();
+    let middle = [(floor, 0, 0.3, 0.3)];
+    // so high and wide, and so near, that it hides all directions with z < 0 but some 1e-3 of them
+    let (mut builder, _, gray) = on_a_floor();
+    let beside = receivers_at(&open, &middle).position[0].z - 0.01;
+    let low = Vec3::new(-1e3, -1e3, beside);
+    builder.mesh("wall", plate(low, Vec3::X * 2e3, Vec3::Y * 2e3, 1), gray);
+    let walled = builder.build();
+    // beside a wall, 1024 cosine-distributed rays are few next to the horizon
+    for (scene, is_open, tolerance) in [
+        (&open, (|d| d.y > 0.0) as fn(Vec3) -> bool, 0.002),
+        (&walled, |d| d.y > 0.0 && d.z > 0.0, 0.04),
+    ] {
+        let setup = Setup::new(scene);
+        let receivers = receivers_at(scene, &middle);
+        let found = setup.open(&receivers, &[Aov::VisibilitySh]);
+        let count = 200_000;
+        let solid_angle = 4.0 * PI / count as f32;
+        let exact = Sh9::project((0..count).map(|i| {
+            let direction = sequence::spiral_sphere(i, count);
+            let value = if is_open(direction) { 1.0 } else { 0.0 };
+            (direction, value, solid_angle)
+        }));
+        for (a, b) in values(&found, Aov::VisibilitySh).iter().zip(exact.0) {
+            assert!((a - b).abs() < tolerance, "{found:?} {exact:?}");
+        }
     }
 }
 

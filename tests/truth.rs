@@ -134,13 +134,13 @@ for prim in stage.Traverse():
     values = UsdGeom.PrimvarsAPI(prim).GetPrimvar('irradiance')
     if values and values.HasValue():
         errors.append(np.array(values.Get()).ravel() / want - 1)
-print(np.sqrt((np.concatenate(errors)**2).mean()))";
+print(np.abs(np.concatenate(errors)).max())";
     let error: f64 = run_python(script, &[&baked.stage])
         .trim()
         .parse()
         .expect("a number");
-    println!("  furnace: relRMSE {error}");
-    assert!(error > 0.0 && error <= 0.01, "{error}");
+    println!("  furnace: largest error of all points {error}");
+    assert!(error > 0.0 && error <= 1e-3, "{error}");
 }
 
 #[test]
@@ -170,8 +170,7 @@ fn a_sphere_alone_in_the_sky_is_open_and_lit_by_pi() {
     );
 }
 
-/// Compares an image of fewer pixels with block means of the truth, where every pixel of a block shows something and
-/// none the lamp: at its edges a few samples a pixel would be all the error there is.
+/// Compares block means of an image of fewer pixels with those of the truth, the lamp among them.
 const COMPARE_IMAGE: &str = "import sys, json
 import numpy as np
 import OpenEXR
@@ -184,13 +183,11 @@ def blocks(image):
 def layer_of(image, name):
     return np.stack([image[f'{name}.{c}'] for c in 'RGB'], -1)
 truth, render = read(sys.argv[1]), read(sys.argv[2])
-lamp = layer_of(truth, 'direct').max(-1, keepdims=True) > 2
-seen = (blocks(render['A'])[..., 0] > 0.9999) & ~(blocks(lamp)[..., 0] > 0)
-errors = {'blocks': int(seen.sum())}
+errors = {}
 indirect = layer_of(render, 'diffuse_indirect')
 direct = np.stack([render[c] for c in 'RGB'], -1) - indirect
 for ours, layer in ((direct, 'direct'), (indirect, 'ind1')):
-    want, got = blocks(layer_of(truth, layer))[seen], blocks(ours)[seen]
+    want, got = blocks(layer_of(truth, layer)), blocks(ours)
     errors[layer] = np.sqrt(((got - want) ** 2).mean()) / want.mean()
 print(json.dumps(errors))";
 
@@ -217,7 +214,6 @@ fn a_camera_sees_the_light_of_the_reference_image() {
     println!("  {compared}");
     let errors: serde_json::Value = serde_json::from_str(&compared).expect("JSON");
     let error = |name: &str| errors[name].as_f64().expect("a number");
-    assert!(error("blocks") > 3000.0, "{compared}");
     assert!(error("direct") <= 0.02, "{compared}");
     assert!(error("ind1") <= 0.03, "{compared}");
 }

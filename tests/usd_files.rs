@@ -547,9 +547,14 @@ fn results(prims: u32, salt: u32) -> Results {
         aov: Aov::PrimId,
         data: (0..prims * 4).map(|i| (i / 4) as f32).collect(),
     };
-    let mut buffers: Vec<_> = [Aov::Occlusion, Aov::Irradiance, Aov::BentNormal, Aov::Color]
-        .map(buffer)
-        .into();
+    let aovs = [
+        Aov::Occlusion,
+        Aov::Irradiance,
+        Aov::BentNormal,
+        Aov::Color,
+        Aov::VisibilitySh,
+    ];
+    let mut buffers: Vec<_> = aovs.map(buffer).into();
     buffers.push(id);
     Results { buffers }
 }
@@ -673,6 +678,16 @@ fn a_bake_over_its_asset_has_every_value_and_shared_instances_their_average() {
         primvar(&read, "/World/direct/quad", "bent_normal")[0],
         "normal3f[]"
     );
+    let whole = primvar(&read, "/World/v/quad", "visibility_sh");
+    assert!(whole.is_null(), "USD has no type for nine floats");
+    for k in 0..9 {
+        let name = format!("visibility_sh{k}");
+        let entry = primvar(&read, "/World/v/quad", &name);
+        assert_eq!(entry[0], "float[]");
+        let results = results(6, 0);
+        let expected = (0..4).map(|i| value(&results, Aov::VisibilitySh, 3, i)[k]);
+        assert_eq!(floats(&entry[2]), expected.collect::<Vec<_>>(), "{name}");
+    }
     assert_eq!(
         floats(&primvar(&read, "/World/v/quad", "primId")[2]),
         [3.0; 4]

@@ -70,14 +70,14 @@ pub fn estimate(
     Ok(compare(results, &truth, &picked, reference.error_share))
 }
 
-/// AOVs of `results` that a better look at the hemisphere can change. Not the bent normal: where next to nothing is
+/// AOVs of `results` that a better look at the hemisphere can change. Not directions: where next to nothing is
 /// open a single ray decides its direction, so that its error says nothing that the visibility's does not say better.
 /// Nor direct light, nor an environment unless it is `uniform`: they have samples of their own.
 fn measured(results: &Results, uniform: bool) -> Vec<Aov> {
     let depends = |&aov: &Aov| {
         matches!(aov, Aov::Occlusion | Aov::Visibility)
             || aov.needs_indirect()
-            || (uniform && aov.needs_environment())
+            || (uniform && aov.needs_environment() && aov != Aov::IlluminationDirection)
     };
     results
         .buffers

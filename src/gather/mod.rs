@@ -2,6 +2,7 @@
 //!
 //! An [`Engine`] fills a [`Hemisphere`] for every receiver; the [`quantities`] read all AOVs off it in one pass.
 
+mod environment;
 pub mod estimate;
 mod neighbors;
 pub mod quantities;
@@ -20,14 +21,15 @@ pub mod paper;
 pub mod traverse;
 
 use crate::diagnostics::{Cancelled, Diagnostics};
-use crate::lighting::{Lighting, ShadePoint};
+use crate::lighting::{Lighting, ShadePoint, SkyLight};
 use crate::receivers::Receivers;
 use crate::results::{Aov, AovBuffer, Results};
 use crate::shading::{Shader, Surface};
 use crate::surfels::SurfelCloud;
 use crate::trace::Tracer;
+use environment::Environment;
 use glam::Vec3;
-use quantities::{Seen, irradiance, occlusion};
+use quantities::{Seen, irradiance};
 use rayon::prelude::*;
 use std::fmt::Debug;
 use std::ops::Range;
@@ -198,35 +200,19 @@ struct Work<'a> {
     hemisphere: bool,
 }
 
-/// How the environment lights receivers.
-#[derive(Clone, Copy)]
-enum Environment<'a> {
-    /// Not at all, or nobody asks.
-    None,
-    /// The same radiance from everywhere: what the hemisphere leaves open is all that matters.
-    Uniform(Vec3),
-    /// It has an image: its own importance-sampled rays.
-    Sampled(&'a Lighting),
-}
-
 impl<'a> Work<'a> {
     fn plan(scene: GatherScene<'a>, aovs: &[Aov]) -> Self {
         let any = |asks: fn(Aov) -> bool| aovs.iter().any(|&aov| asks(aov));
-        let environment = match scene.lighting {
-            Some(lighting) if any(Aov::needs_environment) && lighting.has_environment() => lighting
-                .uniform_environment()
-                .map_or(Environment::Sampled(lighting), Environment::Uniform),
-            _ => Environment::None,
-        };
+        let asked = any(Aov::needs_environment);
+        let environment = Environment::plan(scene.lighting.filter(|_| asked), aovs);
         let indirect = any(Aov::needs_indirect);
-        let openness = any(|aov| matches!(aov, Aov::Occlusion | Aov::Visibility | Aov::BentNormal));
         Self {
             scene,
             material: any(Aov::needs_material),
             direct: scene.lighting.filter(|_| any(Aov::needs_direct)),
             environment,
             indirect,
-            hemisphere: indirect || openness || matches!(environment, Environment::Uniform(_)),
+            hemisphere: indirect || any(Aov::is_openness) || environment.needs_hemisphere(),
         }
     }
 
@@ -238,8 +224,13 @@ impl<'a> Work<'a> {
         scratch: &mut Hemisphere,
     ) {
         let start = block.range.start;
+        let points: Vec<ShadePoint> = (block.range.clone())
+            .map(|i| self.point(receivers, i))
+            .collect();
+        let sky = self.environment.look(self.scene.tracer, &points);
         let mut visit = |i: usize, hemisphere: &Hemisphere| {
-            let seen = self.seen(receivers, i, hemisphere);
+            let light = (self.environment).light(&sky, i - start, hemisphere);
+            let seen = self.seen(receivers, (i, &points[i - start]), light, hemisphere);
             for (aov, values) in &mut block.values {
                 let place = (i - start) * aov.components();
                 quantities::write(*aov, &seen, &mut values[place..place + aov.components()]);
@@ -253,17 +244,27 @@ impl<'a> Work<'a> {
         }
     }
 
-    fn seen<'s>(&self, receivers: &'s Receivers, i: usize, hemisphere: &'s Hemisphere) -> Seen<'s> {
+    fn point(&self, receivers: &Receivers, i: usize) -> ShadePoint {
         let normals = (receivers.normal[i], receivers.geometric_normal[i]);
         let (scene, position) = (self.scene.shader.scene(), receivers.position[i]);
-        let point = ShadePoint::on_mesh(scene, &receivers.surface[i], position, normals);
+        ShadePoint::on_mesh(scene, &receivers.surface[i], position, normals)
+    }
+
+    fn seen<'s>(
+        &self,
+        receivers: &'s Receivers,
+        (i, point): (usize, &ShadePoint),
+        light: SkyLight,
+        hemisphere: &'s Hemisphere,
+    ) -> Seen<'s> {
         let seen = Seen {
             receivers,
             index: i,
             hemisphere,
             surface: self.surface(receivers, i),
-            direct: self.direct(&point),
-            environment: self.environment(&point, hemisphere),
+            direct: self.direct(point),
+            environment: light.irradiance,
+            illumination: light.direction,
             indirect: if self.indirect {
                 irradiance::indirect(hemisphere)
             } else {
@@ -294,14 +295,6 @@ impl<'a> Work<'a> {
             lights + lighting.emitters(self.scene.shader, self.scene.tracer, point)
         } else {
             lights
-        }
-    }
-
-    fn environment(&self, point: &ShadePoint, hemisphere: &Hemisphere) -> Vec3 {
-        match self.environment {
-            Environment::None => Vec3::ZERO,
-            Environment::Uniform(radiance) => radiance * occlusion::open(hemisphere),
-            Environment::Sampled(lighting) => lighting.environment(self.scene.tracer, point),
         }
     }
 }

@@ -159,9 +159,14 @@ fn visible_of_small(panel: &Panel, stand: &Stand<'_>, squares: &[Vec2], share: f
         clippy::cast_precision_loss,
         reason = "a part of the samples"
     )]
-    let count = ((share * squares.len() as f32) as usize).clamp(16, squares.len().max(16));
-    let rays = squares.iter().take(count).map(|&square| {
-        let offset = panel.place(square) - stand.origin;
+    let count = {
+        let wanted = share * panel.squares_a_point() * squares.len() as f32;
+        let least = (DECISIVE as f32 * panel.squares_a_point()) as usize;
+        (wanted as usize).clamp(least, squares.len().max(least))
+    };
+    let rays = squares.iter().take(count).enumerate();
+    let rays = rays.map(|(index, &square)| {
+        let offset = panel.place(index, square)? - stand.origin;
         let squared = offset.length_squared();
         let direction = offset.try_normalize()?;
         let cosines =

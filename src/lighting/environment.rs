@@ -1,7 +1,15 @@
 //! Dome lights as one fixed set of directions: each stands for the part of the sky nearest to it and keeps the first
 //! moment of that part's radiance, so that the irradiance of unblocked cells is exact above the horizon.
 
-use super::cells::{Cell, build_cells};
+mod block;
+mod place;
+mod set;
+mod texels;
+
+pub use block::SkyLight;
+pub(super) use block::{MOST, light};
+pub use set::{EnvironmentCell, EnvironmentSet};
+
 use super::pictures;
 use super::stand::Stand;
 use crate::diagnostics::Diagnostics;
@@ -10,6 +18,7 @@ use crate::math::luminance;
 use crate::scene::{Light, LightKind};
 use glam::{Mat3, Vec3};
 use std::f32::consts::PI;
+use texels::Sky;
 
 /// One dome light with a texture.
 #[derive(Debug)]
@@ -41,9 +50,23 @@ impl Environment {
         Self { domes, uniform }
     }
 
-    /// The sky divided into `count` cells.
-    pub(super) fn cells(&self, count: u32) -> Vec<Cell> {
-        build_cells(&self.domes, count.max(2) as usize, self.uniform.is_some())
+    /// The sky divided into about each of `counts` cells.
+    pub(super) fn sets<const N: usize>(&self, counts: [u32; N]) -> [EnvironmentSet; N] {
+        let skies = self.skies();
+        counts
+            .map(|count| EnvironmentSet::new(&skies, count.max(2) as usize, self.uniform.is_some()))
+    }
+
+    /// One for each map, one for all even domes.
+    fn skies(&self) -> Vec<Sky> {
+        let mapped = |dome: &Dome| dome.map.as_ref().map(|map| Sky::of(dome, map));
+        let mut skies: Vec<Sky> = self.domes.iter().filter_map(mapped).collect();
+        let even = |dome: &&Dome| dome.map.is_none();
+        if self.domes.iter().any(|dome| even(&dome)) {
+            let radiance = self.domes.iter().filter(even).map(|dome| dome.radiance);
+            skies.push(Sky::even(radiance.sum()));
+        }
+        skies
     }
 
     /// True if some dome shines.
@@ -64,25 +87,30 @@ impl Environment {
         self.domes.iter().map(from).sum()
     }
 
-    /// Irradiance along unblocked directions.
-    pub(super) fn irradiance(&self, cells: &[Cell], stand: &Stand<'_>) -> Vec3 {
-        let (mut all, mut unblocked) = (Vec3::ZERO, Vec3::ZERO);
-        for cell in cells {
-            let Some((irradiance, direction)) = cell.irradiance(stand.point.normal) else {
-                continue;
-            };
-            all += irradiance;
-            if stand.sees_sky(direction) {
-                unblocked += irradiance;
-            }
+    /// Light along unblocked directions, in the cells of `set`.
+    pub(super) fn light(&self, set: &EnvironmentSet, stand: &Stand<'_>) -> SkyLight {
+        self.corrected(set, stand.point.normal, SkyLight::at(set, stand))
+    }
+
+    /// The same at each of `stands`, at most 64, which look along every direction together.
+    pub(super) fn block(&self, set: &EnvironmentSet, stands: &[Stand<'_>]) -> Vec<SkyLight> {
+        let light = light(set.cells(), stands);
+        let corrected =
+            |(light, stand): (SkyLight, &Stand<'_>)| self.corrected(set, stand.point.normal, light);
+        light.into_iter().zip(stands).map(corrected).collect()
+    }
+
+    /// Cells across the horizon are approximate, but the sum of an even sky's is known.
+    fn corrected(&self, set: &EnvironmentSet, normal: Vec3, mut light: SkyLight) -> SkyLight {
+        let Some(radiance) = self.uniform else {
+            return light;
+        };
+        let arrivals = set.cells().iter().filter_map(|cell| cell.arrival(normal));
+        let all: Vec3 = arrivals.map(|arrival| arrival.irradiance).sum();
+        if luminance(all) > 0.0 {
+            light.irradiance = PI * radiance * (luminance(light.irradiance) / luminance(all));
         }
-        match self.uniform {
-            // cells across the horizon are approximate, their sum is known
-            Some(radiance) if luminance(all) > 0.0 => {
-                PI * radiance * (luminance(unblocked) / luminance(all))
-            }
-            _ => unblocked,
-        }
+        light
     }
 }
 

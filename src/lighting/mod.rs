@@ -1,7 +1,6 @@
 //! Light that comes straight from its source: UsdLux lights, the environment, emissive surfaces; with ray-traced
 //! shadows and without noise.
 
-mod cells;
 mod clusters;
 mod emitters;
 mod environment;
@@ -15,11 +14,12 @@ mod shape;
 mod shaping;
 mod stand;
 
+pub use environment::{EnvironmentCell, EnvironmentSet, SkyLight};
+
 use crate::diagnostics::Diagnostics;
 use crate::scene::Scene;
 use crate::shading::{Shader, SurfacePoint};
 use crate::trace::Tracer;
-use cells::Cell;
 use emitters::{EmitterPatterns, Emitters};
 use environment::Environment;
 use glam::Vec3;
@@ -100,7 +100,9 @@ pub struct LightSamples {
     pub per_light: u32,
     /// Rays to emissive surfaces.
     pub emissive: u32,
-    /// World-fixed directions that sample a textured environment.
+    /// World-fixed directions that sample a textured environment, about. Error of its irradiance by 64, 128, 256 and
+    /// 512 on a bunny on a plane under a sky with a sun and four small bright areas: 1.8, 0.95, 0.57, 0.44 %; without
+    /// the sun 3.2, 1.6, 1.0, 0.7 %.
     pub environment: u32,
 }
 
@@ -109,7 +111,7 @@ impl Default for LightSamples {
         Self {
             per_light: 256,
             emissive: 256,
-            environment: 512,
+            environment: 256,
         }
     }
 }
@@ -157,15 +159,15 @@ pub struct Lighting {
 #[derive(Debug)]
 struct Detail {
     lights: Patterns,
-    sky: Vec<Cell>,
+    sky: EnvironmentSet,
     emitters: EmitterPatterns,
 }
 
 impl Detail {
-    fn new(samples: LightSamples, environment: &Environment) -> Self {
+    fn new(samples: LightSamples, sky: EnvironmentSet) -> Self {
         Self {
             lights: Patterns::new(samples.per_light),
-            sky: environment.cells(samples.environment),
+            sky,
             emitters: EmitterPatterns::new(samples.emissive),
         }
     }
@@ -177,13 +179,15 @@ impl Lighting {
     pub fn new(shader: &Shader<'_>, samples: LightSamples, diagnostics: &Diagnostics) -> Self {
         let lights = &shader.scene().lights;
         let environment = Environment::new(lights, diagnostics);
+        let coarse = samples.at_most(LightSamples::SURFEL);
+        let [fine_sky, coarse_sky] = environment.sets([samples.environment, coarse.environment]);
         Self {
             lights: (lights.iter())
                 .filter_map(|light| AreaLight::new(light, diagnostics))
                 .collect(),
             emitters: Emitters::new(shader),
-            fine: Detail::new(samples, &environment),
-            coarse: Detail::new(samples.at_most(LightSamples::SURFEL), &environment),
+            fine: Detail::new(samples, fine_sky),
+            coarse: Detail::new(coarse, coarse_sky),
             environment,
         }
     }
@@ -201,6 +205,29 @@ impl Lighting {
     /// Irradiance from dome lights along unblocked directions; exact when nothing blocks.
     pub fn environment(&self, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
         self.environment_by(&self.fine, tracer, point)
+    }
+
+    /// [`Self::environment`], and the direction it comes from, at each of `points`; faster where neighbors follow each
+    /// other, since they look along each direction together.
+    pub fn environment_of(&self, tracer: &Tracer, points: &[ShadePoint]) -> Vec<SkyLight> {
+        let set = &self.fine.sky;
+        in_blocks(tracer, points, |stands| self.environment.block(set, stands))
+    }
+
+    /// Of [`Self::environment_of`] only what comes from [`EnvironmentSet::importance`]: for engines that see the even
+    /// part in another way. Black under an even sky, which has no such part.
+    pub fn environment_importance_of(
+        &self,
+        tracer: &Tracer,
+        points: &[ShadePoint],
+    ) -> Vec<SkyLight> {
+        let cells = self.fine.sky.importance();
+        in_blocks(tracer, points, |stands| environment::light(cells, stands))
+    }
+
+    /// The directions that all receivers look at the environment along; empty without domes.
+    pub fn environment_set(&self) -> &EnvironmentSet {
+        &self.fine.sky
     }
 
     /// Radiance of the environment from unit `direction` (towards the sky), summed over domes.
@@ -253,7 +280,10 @@ impl Lighting {
     }
 
     fn environment_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        (self.environment).irradiance(&detail.sky, &Stand::new(tracer, point))
+        (self
+            .environment
+            .light(&detail.sky, &Stand::new(tracer, point)))
+        .irradiance
     }
 
     fn emitters_by(&self, detail: &Detail, shader: &Shader<'_>, stand: &Stand<'_>) -> Vec3 {
@@ -262,6 +292,21 @@ impl Lighting {
         }
         (self.emitters).irradiance(&detail.emitters, shader, stand)
     }
+}
+
+/// `work` on as many receivers at a time as can look together.
+fn in_blocks(
+    tracer: &Tracer,
+    points: &[ShadePoint],
+    work: impl Fn(&[Stand<'_>]) -> Vec<SkyLight>,
+) -> Vec<SkyLight> {
+    let block = |points: &[ShadePoint]| {
+        let stands: Vec<_> = (points.iter())
+            .map(|point| Stand::new(tracer, point))
+            .collect();
+        work(&stands)
+    };
+    points.chunks(environment::MOST).flat_map(block).collect()
 }
 
 /// A [`Lighting`] sampled as coarsely as surfels allow. Its methods are those of the same names there.

@@ -2,6 +2,7 @@
 
 use super::emitters::{EmissiveTriangle, front_normal};
 use super::form_factor::outline_irradiance;
+use super::sampled::GOLDEN;
 use crate::math::{Bounds3, luminance};
 use glam::{DVec3, Vec2, Vec3};
 use std::collections::{BTreeMap, HashMap};
@@ -23,10 +24,23 @@ pub(super) struct Panel {
     anchor: DVec3,
     /// Outline, counter-clockwise as seen from the front.
     edges: Vec<(DVec3, DVec3)>,
+    rectangle: Rectangle,
     triangles: Vec<[Vec3; 3]>,
     /// Running sums of the triangles' areas over the whole, ending with 1.
     cumulative: Vec<f32>,
 }
+
+/// Around a panel, along its longest edge.
+#[derive(Debug)]
+struct Rectangle {
+    corner: DVec3,
+    sides: [DVec3; 2],
+    /// Part of it that the panel covers, 0…1.
+    fill: f32,
+}
+
+/// Panels that cover less of their rectangle are sampled triangle by triangle.
+const LEAST_FILL: f32 = 0.25;
 
 impl Panel {
     /// Height of `position` over the plane, positive in front.
@@ -79,21 +93,62 @@ impl Panel {
         is_inside
     }
 
-    /// A point of the panel, uniform in area.
-    pub(super) fn place(&self, square: Vec2) -> Vec3 {
-        let last = self.triangles.len() - 1;
-        let index = self
-            .cumulative
-            .partition_point(|&sum| sum <= square.x)
-            .min(last);
-        let before = if index == 0 {
-            0.0
+    /// Squares that [`Self::place`] has to be given for one point, on average: 1 to 4.
+    pub(super) fn squares_a_point(&self) -> f32 {
+        if self.rectangle.fill < LEAST_FILL {
+            1.0
         } else {
-            self.cumulative[index - 1]
-        };
-        let width = (self.cumulative[index] - before).max(f32::MIN_POSITIVE);
-        let within = ((square.x - before) / width).clamp(0.0, 1.0);
-        in_triangle(&self.triangles[index], Vec2::new(within, square.y))
+            1.0 / self.rectangle.fill
+        }
+    }
+
+    /// The point that belongs to the `index`-th `square` of a pattern, if there is one; uniform in area.
+    ///
+    /// The pattern is laid over the whole panel, however it is cut into triangles: choosing triangles by one side of
+    /// the square would pick whole columns of a regular grid of triangles and nothing else.
+    pub(super) fn place(&self, index: usize, square: Vec2) -> Option<Vec3> {
+        if self.rectangle.fill < LEAST_FILL {
+            return Some(self.place_in_triangle(index, square));
+        }
+        let Rectangle { corner, sides, .. } = &self.rectangle;
+        let place = *corner + sides[0] * f64::from(square.x) + sides[1] * f64::from(square.y);
+        self.contains(place).then_some(place.as_vec3())
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "a few hundred samples")]
+    fn place_in_triangle(&self, index: usize, square: Vec2) -> Vec3 {
+        let pick = (index as f32 * GOLDEN).fract();
+        let last = self.triangles.len() - 1;
+        let triangle = (self.cumulative.partition_point(|&sum| sum <= pick)).min(last);
+        in_triangle(&self.triangles[triangle], square)
+    }
+}
+
+impl Rectangle {
+    /// Around `edges`, which enclose `area`.
+    #[expect(clippy::cast_possible_truncation, reason = "f64 to f32")]
+    fn around(edges: &[(DVec3, DVec3)], normal: DVec3, area: f64) -> Self {
+        let along = (edges.iter())
+            .map(|(a, b)| *b - *a)
+            .max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))
+            .unwrap_or_default()
+            .normalize_or_zero();
+        let axes = [along, normal.cross(along)];
+        let reach = axes.map(|axis| {
+            let heights = edges.iter().map(|(a, _)| axis.dot(*a));
+            heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| {
+                (low.min(x), high.max(x))
+            })
+        });
+        let lift = edges.first().map_or(0.0, |(a, _)| normal.dot(*a));
+        let sides = [0, 1].map(|k| axes[k] * (reach[k].1 - reach[k].0));
+        let whole = sides[0].length() * sides[1].length();
+        let fill = (area / whole) as f32;
+        Self {
+            corner: axes[0] * reach[0].0 + axes[1] * reach[1].0 + normal * lift,
+            sides,
+            fill: if fill.is_finite() { fill.min(1.0) } else { 0.0 },
+        }
     }
 }
 
@@ -224,13 +279,15 @@ fn panel_of(triangles: &[EmissiveTriangle], group: &[usize]) -> Panel {
         let share = (sum / area) as f32;
         share
     });
+    let edges = outline(&members);
     Panel {
         emission: members[0].emission,
         normal: normal.as_vec3(),
         exact_normal: normal,
         anchor: members[0].corners[0].as_dvec3(),
         cumulative: cumulative.collect(),
-        edges: outline(&members),
+        rectangle: Rectangle::around(&edges, normal, area),
+        edges,
         triangles: members.iter().map(|t| t.corners).collect(),
     }
 }

@@ -11,7 +11,7 @@ use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_1_PI, PI};
 
 /// Fraction of the golden ratio: an additive third dimension to pick triangles with.
-const GOLDEN: f32 = 0.618_034;
+pub(super) const GOLDEN: f32 = 0.618_034;
 
 /// A triangle to be sampled.
 #[derive(Debug, Clone, Copy)]

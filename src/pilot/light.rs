@@ -48,8 +48,8 @@ impl<'a> LightScenes<'a> {
 
     /// True if a better look at the hemisphere can change `aov`.
     pub(super) fn depends_on_engine(&self, aov: Aov) -> bool {
-        let open = matches!(aov, Aov::Occlusion | Aov::Visibility | Aov::BentNormal);
-        open || aov.needs_indirect()
+        aov.is_openness()
+            || aov.needs_indirect()
             || (aov.needs_environment() && self.engine().lighting.is_some())
     }
 }

@@ -8,11 +8,12 @@ use super::world::{Needs, World, with_world};
 use super::{Error, outputs};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::lens::Lens;
+use crate::receivers::sampling::Sampling;
 use crate::receivers::{Receivers, camera};
 use crate::results::{Aov, AovImage, resolve};
 use crate::stage;
 use crate::writers::image::{ExrInfo, ExrLayout, write_exr, write_png};
-use glam::Vec4;
+use glam::{Vec3, Vec4};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -87,7 +88,10 @@ fn render(
     );
     report.set("image", vec![view.frame.width, view.frame.height]);
     report.set("pixel_samples", job.pixel_samples);
-    let receivers = timed(&mut report.seconds.gather, || place(world, view, job));
+    let sampling = timed(&mut report.seconds.gather, || sampling(world, view, job));
+    let receivers = timed(&mut report.seconds.gather, || {
+        place(world, view, job, &sampling)
+    });
     let results = gather(
         world,
         &receivers,
@@ -98,7 +102,9 @@ fn render(
     timed(&mut report.seconds.write, || {
         let _phase = diagnostics.phase("write", "file", 0);
         let mut images = resolve(&results, &receivers.target);
-        add_lights(&mut images, world, view, job);
+        if !job.hide_lights {
+            add_lights(&mut images, world, view, &sampling);
+        }
         write(&images, &info(world, view, job), job, files)
     })
 }
@@ -153,8 +159,18 @@ fn info(world: &World<'_>, view: &View, job: &RenderJob) -> ExrInfo {
     }
 }
 
+/// Where in its pixels the camera looks.
+fn sampling(world: &World<'_>, view: &View, job: &RenderJob) -> Sampling {
+    if job.hide_lights {
+        return Sampling::uniform(job.pixel_samples);
+    }
+    let glow = |origin, direction, length| glow(world, false, (origin, direction, length));
+    let (scene, samples) = (world.scene(), job.pixel_samples);
+    camera::finer_at_lights(scene, &glow, (&view.camera, view.frame), samples)
+}
+
 /// Receivers on the surfaces that the camera sees; lights in front hide them.
-fn place(world: &World<'_>, view: &View, job: &RenderJob) -> Receivers {
+fn place(world: &World<'_>, view: &View, job: &RenderJob, sampling: &Sampling) -> Receivers {
     let cast = |origin, direction, length| {
         let hit = world.tracer.closest(origin, direction, length)?;
         let hidden = !job.hide_lights
@@ -164,44 +180,30 @@ fn place(world: &World<'_>, view: &View, job: &RenderJob) -> Receivers {
                 .is_some();
         (!hidden).then_some(hit)
     };
-    camera::place_with(
-        world.scene(),
-        &cast,
-        &view.camera,
-        view.frame,
-        job.pixel_samples,
-    )
+    camera::place_with(world.scene(), &cast, (&view.camera, view.frame), sampling)
+}
+
+/// What shines by itself along a ray (origin, unit direction, length) and how far it covers what is behind: the shape
+/// of a light, or the sky, which does not cover.
+fn glow(world: &World<'_>, sky: bool, (origin, direction, length): (Vec3, Vec3, f32)) -> Vec4 {
+    let hit = world.tracer.closest(origin, direction, length);
+    let length = hit.map_or(length, |hit| hit.distance);
+    match world.lighting.seen(origin, direction, length) {
+        Some(radiance) => radiance.extend(1.0),
+        None if hit.is_none() && sky => world.lighting.environment_radiance(direction).extend(0.0),
+        None => Vec4::ZERO,
+    }
 }
 
 /// Add what shines into the camera by itself: the shapes of lights to `color` (covering) and `emission`, the sky to
 /// `color` (not covering).
-fn add_lights(images: &mut [AovImage], world: &World<'_>, view: &View, job: &RenderJob) {
+fn add_lights(images: &mut [AovImage], world: &World<'_>, view: &View, sampling: &Sampling) {
     let shown = |aov| matches!(aov, Aov::Color | Aov::Emission);
-    if job.hide_lights || !images.iter().any(|image| shown(image.aov)) {
-        return;
-    }
-    let lighting = &world.lighting;
-    let glow = |sky: bool| {
-        move |origin, direction, length| {
-            let hit = world.tracer.closest(origin, direction, length);
-            match lighting.seen(origin, direction, hit.map_or(length, |hit| hit.distance)) {
-                Some(radiance) => radiance.extend(1.0),
-                None if hit.is_none() && sky => {
-                    lighting.environment_radiance(direction).extend(0.0)
-                }
-                None => Vec4::ZERO,
-            }
-        }
-    };
     for image in images.iter_mut().filter(|image| shown(image.aov)) {
-        let glow = glow(image.aov == Aov::Color);
-        let backdrop = camera::backdrop(
-            world.scene(),
-            &glow,
-            &view.camera,
-            view.frame,
-            job.pixel_samples,
-        );
+        let sky = image.aov == Aov::Color;
+        let glow = |origin, direction, length| glow(world, sky, (origin, direction, length));
+        let seen = (&view.camera, view.frame);
+        let backdrop = camera::backdrop(world.scene(), &glow, seen, sampling);
         for (pixel, light) in image
             .data
             .chunks_exact_mut(image.aov.components())

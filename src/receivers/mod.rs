@@ -3,6 +3,7 @@
 pub mod camera;
 pub mod lens;
 pub mod primvar;
+pub mod sampling;
 pub mod surfel;
 #[cfg(test)]
 mod testing;

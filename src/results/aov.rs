@@ -1,5 +1,6 @@
 //! The AOVs: names, types, formats.
 
+use crate::math::sh::COEFFICIENT_COUNT;
 use std::fmt;
 use std::str::FromStr;
 
@@ -18,7 +19,23 @@ pub enum ValueType {
     Point,
     /// Unsigned id; EXR `NAME.id` (uint), USD `int[]`.
     Id,
+    /// 9 coefficients of spherical harmonics ([`crate::math::sh::Sh9`]); on disk 9 results of one float each,
+    /// `NAME0` … `NAME8`: EXR channels `NAME0.Y` …, USD `float[]` primvars.
+    Harmonics,
 }
+
+/// What the coefficients of `visibility_sh` are called on disk.
+const VISIBILITY_SH_NAMES: [&str; COEFFICIENT_COUNT] = [
+    "visibility_sh0",
+    "visibility_sh1",
+    "visibility_sh2",
+    "visibility_sh3",
+    "visibility_sh4",
+    "visibility_sh5",
+    "visibility_sh6",
+    "visibility_sh7",
+    "visibility_sh8",
+];
 
 macro_rules! aovs {
     ($($(#[doc = $doc:literal])* $variant:ident, $name:literal, $value:ident;)*) => {
@@ -68,6 +85,11 @@ aovs! {
     Color, "color", ColorAlpha;
     /// Average unoccluded direction, unit. PBGI §8.7.
     BentNormal, "bent_normal", Normal;
+    /// Average unoccluded direction weighted by the environment's brightness, unit. PBGI §8.7.
+    IlluminationDirection, "illumination_direction", Normal;
+    /// Coefficients of the function that is 1 in open directions above the horizon of the shading normal and 0 in all
+    /// others, without a cosine, world space. PBGI §8.7.
+    VisibilitySh, "visibility_sh", Harmonics;
     /// Shading normal.
     Normal, "N", Normal;
     /// World position.
@@ -79,12 +101,22 @@ aovs! {
 }
 
 impl Aov {
-    /// Floats a value: 1, 3 or 4.
+    /// Floats a value: 1, 3, 4 or 9.
     pub fn components(self) -> usize {
         match self.value_type() {
             ValueType::Float | ValueType::Id => 1,
             ValueType::Color | ValueType::Normal | ValueType::Point => 3,
             ValueType::ColorAlpha => 4,
+            ValueType::Harmonics => COEFFICIENT_COUNT,
+        }
+    }
+
+    /// The name on disk of component `index` where each is a result of its own: `visibility_sh0` …; `None` for all
+    /// other types.
+    pub fn component_name(self, index: usize) -> Option<&'static str> {
+        match self {
+            Self::VisibilitySh => VISIBILITY_SH_NAMES.get(index).copied(),
+            _ => None,
         }
     }
 
@@ -100,7 +132,19 @@ impl Aov {
     pub fn needs_environment(self) -> bool {
         matches!(
             self,
-            Self::IrradianceEnvironment | Self::Irradiance | Self::DiffuseDirect | Self::Color
+            Self::IrradianceEnvironment
+                | Self::Irradiance
+                | Self::DiffuseDirect
+                | Self::Color
+                | Self::IlluminationDirection
+        )
+    }
+
+    /// True if it tells which directions are open and nothing of light.
+    pub fn is_openness(self) -> bool {
+        matches!(
+            self,
+            Self::Occlusion | Self::Visibility | Self::BentNormal | Self::VisibilitySh
         )
     }
 
@@ -114,7 +158,7 @@ impl Aov {
 
     /// True if it needs the hemisphere above the receiver at all.
     pub fn needs_hemisphere(self) -> bool {
-        matches!(self, Self::Occlusion | Self::Visibility | Self::BentNormal)
+        self.is_openness()
             || self.needs_direct()
             || self.needs_environment()
             || self.needs_indirect()
@@ -176,5 +220,18 @@ mod tests {
             assert_eq!(aov.name().parse::<Aov>().unwrap(), *aov);
         }
         assert!("Occlusion".parse::<Aov>().is_err());
+    }
+
+    #[test]
+    fn exactly_the_components_of_harmonics_have_names() {
+        for &aov in Aov::ALL {
+            let named = (0..10).filter_map(|k| aov.component_name(k)).count();
+            let expected = match aov.value_type() {
+                ValueType::Harmonics => aov.components(),
+                _ => 0,
+            };
+            assert_eq!(named, expected, "{aov}");
+        }
+        assert_eq!(Aov::VisibilitySh.component_name(8), Some("visibility_sh8"));
     }
 }

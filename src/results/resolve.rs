@@ -47,7 +47,10 @@ impl Rule {
         match (aov, aov.value_type()) {
             (Aov::Depth, _) | (_, ValueType::Point | ValueType::Id) => Self::Prevailing,
             (_, ValueType::Normal) => Self::Direction,
-            (_, ValueType::Float | ValueType::Color | ValueType::ColorAlpha) => Self::Sum,
+            (
+                _,
+                ValueType::Float | ValueType::Color | ValueType::ColorAlpha | ValueType::Harmonics,
+            ) => Self::Sum,
         }
     }
 }
@@ -63,8 +66,8 @@ fn background(aov: Aov) -> f32 {
 
 /// Every AOV of `results` as an image, in their order; none when the target is not an image.
 ///
-/// Light, albedo, `occlusion` and `visibility` are premultiplied by coverage and 0 where nothing is seen; `N` and
-/// `bent_normal` are made unit again; `P`, `depth` and `primId` are those of the receiver that fills most of the
+/// Light, albedo, `occlusion`, `visibility` and its harmonics are premultiplied by coverage and 0 where nothing is
+/// seen; `N`, `bent_normal` and `illumination_direction` are made unit again; `P`, `depth` and `primId` are those of the receiver that fills most of the
 /// pixel.
 pub fn resolve(results: &Results, target: &Target) -> Vec<AovImage> {
     let Target::Image {

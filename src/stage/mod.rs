@@ -2,6 +2,7 @@
 //! [`raw::RawStage`] of composed prims and resolved values, then the same passes for both.
 
 pub mod cloud;
+pub mod materialx;
 pub mod native;
 pub mod passes;
 pub mod raw;
@@ -145,6 +146,11 @@ pub fn read(
     diagnostics: &Diagnostics,
 ) -> Result<Scene, Error> {
     let raw = source.load(&Request::for_settings(settings), diagnostics)?;
+    let raw = match settings.materials {
+        true => materialx::graft(raw, diagnostics),
+        false => raw,
+    };
+    let raw = passes::skinning::pose(raw, diagnostics);
     passes::scene(&raw, settings, diagnostics)
 }
 

@@ -19,6 +19,24 @@ pub struct Request {
     pub values_not_needed: Vec<String>,
 }
 
+/// Attributes of skeletons, their animations and what they deform.
+const SKELETAL: [&str; 14] = [
+    "joints",
+    "bindTransforms",
+    "restTransforms",
+    "translations",
+    "rotations",
+    "blendShapes",
+    "blendShapeWeights",
+    "offsets",
+    "pointIndices",
+    "inbetweens:*",
+    "skel:*",
+    "primvars:skel:*",
+    "primvars:normals:indices",
+    "normalOffsets",
+];
+
 /// Attributes of geometry, cameras and render settings, which every job needs.
 const ALWAYS: [&str; 63] = [
     // Imageable, Xformable
@@ -111,7 +129,7 @@ const OLD_LIGHT_INPUTS: [&str; 10] = [
 impl Request {
     /// The attributes that `settings` can make use of.
     pub fn for_settings(settings: &ReadSettings) -> Self {
-        let mut attributes: Vec<&str> = ALWAYS.to_vec();
+        let mut attributes: Vec<&str> = [&ALWAYS[..], &SKELETAL].concat();
         if settings.materials {
             attributes.extend([
                 "inputs:*",
@@ -220,6 +238,21 @@ pub struct RawPrim {
     pub relationships: BTreeMap<String, RawRelationship>,
     /// Names of further authored attributes that the request did not want.
     pub unread: Vec<String>,
+    /// `inactiveIds` metadata of a PointInstancer, composed: points that are not drawn.
+    pub inactive_ids: Vec<i64>,
+    /// Points and normals were deformed by their skeleton; the doors leave it `false`.
+    pub is_posed: bool,
+    /// MaterialX documents that the prim references, strongest first.
+    pub materialx: Vec<MaterialxReference>,
+}
+
+/// A reference to a MaterialX document, which takes a plug-in to compose.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct MaterialxReference {
+    /// The document, absolute where it was found.
+    pub file: std::path::PathBuf,
+    /// Prim path that USD's plug-in gives what is referenced (`/MaterialX/Materials/Wood`); empty = the whole.
+    pub target: String,
 }
 
 /// A relationship.

@@ -8,7 +8,7 @@ use scenes::{diced_box, displaced_ball, receivers, scene};
 use surflux::bake::{BakeSettings, bake};
 use surflux::diagnostics::Diagnostics;
 use surflux::lighting::{LightSamples, Lighting, ShadePoint};
-use surflux::scene::{Input, Material, MaterialId, Scene};
+use surflux::scene::{Input, LightKind, Material, MaterialId, Scene};
 use surflux::shading::Shader;
 use surflux::trace::Tracer;
 
@@ -30,6 +30,43 @@ fn glowing() -> Scene {
     });
     scene.prims[1].materials = surflux::scene::FaceMaterials::Whole(Some(MaterialId(1)));
     scene
+}
+
+/// The ball in the open under a map with a sun; keep the folder as long as the scene.
+fn under_a_sky() -> (Scene, tempfile::TempDir) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("sky.exr");
+    let texel = |x: usize, y: usize| {
+        let sun = if (x, y) == (100, 70) { 1e5 } else { 0.0 };
+        (sun + 0.5, sun + 0.7, sun + 1.0 - y as f32 / 256.0)
+    };
+    exr::prelude::write_rgb_file(&path, 512, 256, texel).expect("written");
+    let mut scene = scene(vec![displaced_ball(40)]);
+    scene.lights[0].kind = LightKind::Dome {
+        texture: Some(path.as_path().into()),
+    };
+    (scene, folder)
+}
+
+#[divan::bench(sample_count = 5)]
+fn sky_at_receivers(bencher: Bencher<'_, '_>) {
+    let (scene, _folder) = under_a_sky();
+    let bencher = std::cell::RefCell::new(Some(bencher));
+    with_points(&scene, |_, tracer, lighting, points| {
+        let bencher = bencher.take().expect("called once");
+        bencher
+            .counter(ItemsCount::new(points.len()))
+            .bench_local(|| lighting.environment_of(tracer, points));
+    });
+}
+
+/// The map read and both sets built.
+#[divan::bench(sample_count = 5)]
+fn sky_of_512_by_256(bencher: Bencher<'_, '_>) {
+    let (scene, _folder) = under_a_sky();
+    let diagnostics = Diagnostics::default();
+    let shader = Shader::new(&scene, &diagnostics);
+    bencher.bench_local(|| Lighting::new(&shader, LightSamples::default(), &diagnostics));
 }
 
 /// Everything that lighting needs, for points on the walls.

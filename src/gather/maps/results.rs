@@ -12,7 +12,7 @@ use std::f32::consts::PI;
 /// True if maps compute `aov` themselves: what only asks for the sky, and that from a uniform one.
 pub fn supports(aov: Aov, lighting: Option<&Lighting>) -> bool {
     match aov {
-        Aov::Occlusion | Aov::Visibility | Aov::BentNormal => true,
+        aov if aov.is_openness() => true,
         Aov::IrradianceEnvironment => sky(lighting).is_some(),
         _ => false,
     }
@@ -51,6 +51,7 @@ pub fn gather(
     if !own.is_empty() {
         let wanted = Wanted {
             bent_normal: own.contains(&Aov::BentNormal),
+            harmonics: own.contains(&Aov::VisibilitySh),
             ..Wanted::default()
         };
         let seen = visibility(plan, receivers, settings, &wanted, diagnostics)?;
@@ -99,6 +100,7 @@ fn read(
         let data = match aov {
             Aov::Occlusion => seen.visibility.iter().map(|v| 1.0 - v).collect(),
             Aov::BentNormal => flatten(bent_normals(seen, receivers)),
+            Aov::VisibilitySh => seen.harmonics.iter().flat_map(|sh| sh.0).collect(),
             Aov::IrradianceEnvironment => {
                 let full = PI * sky(lighting).unwrap_or_default();
                 flatten(seen.visibility.iter().map(|&v| full * v))

@@ -44,6 +44,7 @@ mod tests {
             surface: BLACK_SURFACE,
             direct: Vec3::ZERO,
             environment: Vec3::ZERO,
+            illumination: Vec3::ZERO,
             indirect: Vec3::ZERO,
         };
         assert_eq!(world_position(&seen), Vec3::new(1_000_000.25, 0.0, -3.0));

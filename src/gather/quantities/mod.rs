@@ -6,6 +6,7 @@
 pub mod bent_normal;
 pub mod diffuse;
 pub mod geometry;
+pub mod harmonics;
 pub mod irradiance;
 pub mod occlusion;
 
@@ -37,6 +38,8 @@ pub struct Seen<'a> {
     pub direct: Vec3,
     /// Irradiance from the environment, radiance·sr.
     pub environment: Vec3,
+    /// Mean of the open directions weighted by the environment's irradiance from there; of any length.
+    pub illumination: Vec3,
     /// Irradiance from light reflected by surfaces, radiance·sr.
     pub indirect: Vec3,
 }
@@ -47,6 +50,8 @@ pub fn write(aov: Aov, seen: &Seen<'_>, out: &mut [f32]) {
         Aov::Occlusion => out[0] = occlusion::occlusion(seen.hemisphere),
         Aov::Visibility => out[0] = occlusion::visibility(seen.hemisphere),
         Aov::BentNormal => put(out, bent_normal::bent_normal(seen)),
+        Aov::IlluminationDirection => put(out, bent_normal::illumination_direction(seen)),
+        Aov::VisibilitySh => out.copy_from_slice(&harmonics::visibility(seen).0),
         Aov::IrradianceDirect => put(out, seen.direct),
         Aov::IrradianceEnvironment => put(out, seen.environment),
         Aov::IrradianceIndirect => put(out, seen.indirect),
@@ -96,6 +101,7 @@ pub(super) mod testing {
             surface: BLACK_SURFACE,
             direct: Vec3::ZERO,
             environment: Vec3::ZERO,
+            illumination: Vec3::ZERO,
             indirect: irradiance::indirect(&hemisphere),
         });
     }

@@ -4,6 +4,7 @@
 use super::OTHER_DOOR;
 use crate::diagnostics::Warning;
 use crate::stage::Error;
+use crate::stage::materialx::is_document;
 use openusd::pcp;
 use std::path::{Path, PathBuf};
 
@@ -78,6 +79,10 @@ fn malformed(asset_path: &str, reason: &str, user: &str) -> Result<Option<Warnin
             path: PathBuf::from(asset_path),
             message: format!("{reason} (used by {user}); {OTHER_DOOR}"),
         });
+    }
+    // Its materials are read without composing it, and what cannot be read is reported there.
+    if is_document(asset_path) {
+        return Ok(None);
     }
     Ok(Some(Warning {
         kind: "missing-layer".to_owned(),

@@ -7,7 +7,10 @@ use super::class_cycles::children_run_in_circles;
 use super::convert;
 use super::interpolate::Samples;
 use super::layer_files::LayerFiles;
-use crate::stage::raw::{RawAttribute, RawPrim, RawRelationship, Request, Value};
+use crate::stage::materialx;
+use crate::stage::raw::{
+    MaterialxReference, RawAttribute, RawPrim, RawRelationship, Request, Value,
+};
 use openusd::pcp::{ArcType, LayerId, Node, PrimIndex};
 use openusd::sdf::{self, AbstractData, FieldKey, LayerOffset, SpecType};
 use openusd::usd::{Attribute, Stage, TimeCode};
@@ -87,6 +90,53 @@ impl Sites {
             }
         }
         Ok(None)
+    }
+
+    /// References to MaterialX documents, strongest first. `files` finds them.
+    pub(super) fn materialx(
+        &self,
+        stage: &Stage,
+        files: &LayerFiles,
+    ) -> Result<Vec<MaterialxReference>, Fault> {
+        let mut found = Vec::new();
+        for opinions in self.borrow(stage) {
+            for field in [FieldKey::References, FieldKey::Payload] {
+                let Some(value) = opinions.field(&opinions.site.path, field.as_str())? else {
+                    continue;
+                };
+                for (asset, target) in documents(&value) {
+                    let resolved = files.resolve_value(&asset, &opinions.site.layer);
+                    let file = if resolved.is_empty() { asset } else { resolved };
+                    let file = file.into();
+                    found.push(MaterialxReference { file, target });
+                }
+            }
+        }
+        Ok(found)
+    }
+
+    /// `inactiveIds`, every site's edits applied to those of the weaker ones.
+    pub(super) fn inactive_ids(&self, stage: &Stage) -> Result<Vec<i64>, Fault> {
+        let mut edits = Vec::new();
+        for opinions in self.borrow(stage) {
+            let value = opinions.field(&opinions.site.path, "inactiveIds")?;
+            match value.as_deref() {
+                Some(sdf::Value::Int64ListOp(edit)) => edits.push(edit.clone()),
+                // what the crate's parser of text makes of a plain list
+                Some(sdf::Value::Int64Vec(ids)) => {
+                    edits.push(sdf::Int64ListOp::explicit(ids.iter().copied()));
+                }
+                Some(_) => {
+                    return Err(Fault::new(
+                        &opinions.site.layer,
+                        "inactiveIds is no list of integers",
+                    ));
+                }
+                None => {}
+            }
+        }
+        let weakest_first = edits.iter().rev();
+        Ok(weakest_first.fold(Vec::new(), |ids, edit| edit.compose_over(&ids)))
     }
 
     /// True if any site has `field`.
@@ -327,6 +377,45 @@ impl<'a> Properties<'a> {
         attribute.value = samples.at(time);
         Ok(())
     }
+}
+
+/// MaterialX documents and targets that a field of references or payloads names.
+fn documents(value: &sdf::Value) -> Vec<(String, String)> {
+    let (mut all, is_document) = (Vec::new(), |asset: &str| materialx::is_document(asset));
+    let mut add = |asset: &str, prim: &sdf::Path| {
+        if is_document(asset) {
+            all.push((asset.to_owned(), prim.to_string()));
+        }
+    };
+    match value {
+        sdf::Value::ReferenceListOp(list) => {
+            let added = [
+                &list.explicit_items,
+                &list.prepended_items,
+                &list.added_items,
+                &list.appended_items,
+            ];
+            added
+                .into_iter()
+                .flatten()
+                .for_each(|item| add(&item.asset_path, &item.prim_path));
+        }
+        sdf::Value::PayloadListOp(list) => {
+            let added = [
+                &list.explicit_items,
+                &list.prepended_items,
+                &list.added_items,
+                &list.appended_items,
+            ];
+            added
+                .into_iter()
+                .flatten()
+                .for_each(|item| add(&item.asset_path, &item.prim_path));
+        }
+        sdf::Value::Payload(item) => add(&item.asset_path, &item.prim_path),
+        _ => {}
+    }
+    all
 }
 
 impl Sites {

@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 pub(super) struct Traversal<'a> {
     stage: &'a Stage,
     properties: Properties<'a>,
+    files: &'a LayerFiles,
     request: &'a Request,
     cancel: &'a CancelToken,
     prims: Vec<RawPrim>,
@@ -46,6 +47,7 @@ impl<'a> Traversal<'a> {
         Self {
             stage,
             properties: Properties::new(stage, files, request),
+            files,
             request,
             cancel,
             prims: Vec::new(),
@@ -170,6 +172,10 @@ impl<'a> Traversal<'a> {
             .prim_text(sites, FieldKey::TypeName)?
             .unwrap_or_default();
         prim.kind = self.prim_text(sites, FieldKey::Kind)?;
+        if prim.type_name == "PointInstancer" {
+            prim.inactive_ids = sites.inactive_ids(self.stage)?;
+        }
+        prim.materialx = sites.materialx(self.stage, self.files)?;
         self.properties.read(&next.path, sites, clips, &mut prim)?;
         Ok(prim)
     }

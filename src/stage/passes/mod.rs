@@ -3,6 +3,7 @@
 pub mod flatten;
 pub mod geometry;
 pub mod look;
+pub mod skinning;
 pub mod xform;
 
 use super::raw::{RawAttribute, RawMeta, RawPrim, RawStage};

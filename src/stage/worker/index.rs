@@ -1,6 +1,8 @@
 //! The worker's answer to a load: its JSON index and the flat file of arrays → [`RawStage`].
 
-use super::super::raw::{RawAttribute, RawMeta, RawPrim, RawRelationship, RawStage, Value};
+use super::super::raw::{
+    MaterialxReference, RawAttribute, RawMeta, RawPrim, RawRelationship, RawStage, Value,
+};
 use bytemuck::Pod;
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
 use serde::Deserialize;
@@ -48,6 +50,11 @@ struct Prim {
     relationships: BTreeMap<String, (Vec<String>, Option<String>)>,
     #[serde(default)]
     unread: Vec<String>,
+    #[serde(default)]
+    inactive_ids: Vec<i64>,
+    /// Files and targets.
+    #[serde(default)]
+    materialx: Vec<(PathBuf, String)>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -159,6 +166,11 @@ impl Prim {
             kind: self.kind,
             relationships: self.relationships.into_iter().map(relationship).collect(),
             unread: self.unread,
+            inactive_ids: self.inactive_ids,
+            is_posed: false,
+            materialx: (self.materialx.into_iter())
+                .map(|(file, target)| MaterialxReference { file, target })
+                .collect(),
         })
     }
 }

@@ -125,7 +125,11 @@ impl Source for WorkerSource {
             .process
             .ask(&message, diagnostics)
             .map_err(|failure| self.error(failure))?;
-        for warning in &index.warnings {
+        for warning in index
+            .warnings
+            .iter()
+            .filter(|warning| !is_of_materialx(warning))
+        {
             let (prim, message) = clean(warning);
             diagnostics.warn("usd", prim, message);
         }
@@ -189,6 +193,12 @@ fn scratch_folders() -> std::io::Result<Vec<TempDir>> {
     let mut folders: Vec<TempDir> = new(Path::new("/dev/shm")).into_iter().collect();
     folders.push(new(&std::env::temp_dir())?);
     Ok(folders)
+}
+
+/// True where USD lacks the plug-in for a MaterialX document: its materials are read without it, and what cannot be
+/// read is reported there.
+fn is_of_materialx(warning: &str) -> bool {
+    warning.contains(".mtlx") && warning.contains("Cannot determine file format")
 }
 
 /// A warning of USD split into the prim it is about (empty if it names none) and its text on one line, without the

@@ -249,6 +249,13 @@ class Loader:
             entry["kind"] = str(kind)
         if prim.IsInstance():
             entry["prototype"] = self.prototype_number(prim.GetPrototype())
+        if prim.HasAuthoredReferences() or prim.HasAuthoredPayloads():
+            documents = self.materialx_entry(prim)
+            if documents:
+                entry["materialx"] = documents
+        inactive = prim.GetMetadata("inactiveIds") if prim.GetTypeName() == "PointInstancer" else None
+        if inactive:
+            entry["inactive_ids"] = list(inactive.GetAddedOrExplicitItems())
         attributes, relationships, unread = {}, {}, []
         for item in prim.GetAuthoredProperties():
             name = item.GetName()
@@ -262,6 +269,19 @@ class Loader:
             if value:
                 entry[key] = value
         return entry
+
+    @staticmethod
+    def materialx_entry(prim):
+        """References to MaterialX documents, strongest first: usd-core without its plug-in cannot compose them."""
+        found = []
+        for spec in prim.GetPrimStack():
+            for items in (spec.referenceList, spec.payloadList):
+                for item in items.GetAddedOrExplicitItems():
+                    if item.assetPath.lower().endswith(".mtlx"):
+                        path = spec.layer.ComputeAbsolutePath(item.assetPath)
+                        path = Ar.GetResolver().Resolve(path).GetPathString() or path
+                        found.append([path, str(item.primPath)])
+        return found
 
     def prototype_number(self, prototype):
         path = str(prototype.GetPath())

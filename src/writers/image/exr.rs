@@ -6,6 +6,7 @@
 
 use super::exr_header::sort_attributes;
 use super::{Error, write_whole};
+use crate::math::sh::COEFFICIENT_COUNT;
 use crate::results::{Aov, AovImage, ValueType};
 use ::exr::meta::attribute::{AttributeValue, Chromaticities, IntegerBounds, LineOrder, Text};
 use ::exr::prelude::{
@@ -225,7 +226,11 @@ fn rational(rate: f64) -> Option<(i32, u32)> {
 fn interop_id(aov: Aov) -> &'static str {
     match aov.value_type() {
         ValueType::Color | ValueType::ColorAlpha => "lin_rec709_scene",
-        ValueType::Float | ValueType::Normal | ValueType::Point | ValueType::Id => "data",
+        ValueType::Float
+        | ValueType::Normal
+        | ValueType::Point
+        | ValueType::Id
+        | ValueType::Harmonics => "data",
     }
 }
 
@@ -238,15 +243,18 @@ fn suffixes(aov: Aov) -> &'static [&'static str] {
         (_, ValueType::ColorAlpha) => &["R", "G", "B", "A"],
         (_, ValueType::Normal | ValueType::Point) => &["X", "Y", "Z"],
         (_, ValueType::Id) => &["id"],
+        // every component is a layer of its own, see `channels`
+        (_, ValueType::Harmonics) => &["Y"; COEFFICIENT_COUNT],
     }
 }
 
 fn channels(image: &AovImage) -> Vec<AnyChannel<FlatSamples>> {
     let aov = image.aov;
     let channel = |(component, suffix): (usize, &&str)| {
-        let name = match aov {
-            Aov::Color => (*suffix).to_owned(),
-            _ => format!("{}.{suffix}", aov.name()),
+        let name = match (aov, aov.component_name(component)) {
+            (Aov::Color, _) => (*suffix).to_owned(),
+            (_, Some(name)) => format!("{name}.{suffix}"),
+            (_, None) => format!("{}.{suffix}", aov.name()),
         };
         AnyChannel::new(text(&name), samples(image, component))
     };
@@ -262,7 +270,7 @@ fn samples(image: &AovImage, component: usize) -> FlatSamples {
         .copied();
     match image.aov.value_type() {
         ValueType::Color | ValueType::ColorAlpha => FlatSamples::F16(values.map(half).collect()),
-        ValueType::Float | ValueType::Normal | ValueType::Point => {
+        ValueType::Float | ValueType::Normal | ValueType::Point | ValueType::Harmonics => {
             FlatSamples::F32(values.collect())
         }
         ValueType::Id => FlatSamples::U32(values.map(id).collect()),
@@ -321,6 +329,7 @@ mod tests {
             }),
             image(Aov::Normal, |_, c| [0.6, 0.0, 0.8][c]),
             image(Aov::PrimId, |pixel, _| pixel as f32 - 1.0),
+            image(Aov::VisibilitySh, |pixel, c| pixel as f32 - c as f32),
         ]
     }
 
@@ -374,7 +383,7 @@ assert len(file.parts) == 1
 header, channels = file.header(), file.channels()
 kinds = {name: str(c.pixels.dtype) for name, c in channels.items()}
 expected = {n: "float16" for n in ["R", "G", "B", "A", "diffuse_indirect.R", "diffuse_indirect.G", "diffuse_indirect.B"]}
-expected |= {n: "float32" for n in ["occlusion.Y", "depth.Z", "N.X", "N.Y", "N.Z"]} | {"primId.id": "uint32"}
+expected |= {n: "float32" for n in ["occlusion.Y", "depth.Z", "N.X", "N.Y", "N.Z"] + [f"visibility_sh{k}.Y" for k in range(9)]} | {"primId.id": "uint32"}
 assert kinds == expected, kinds
 pixel = np.arange(15).reshape(3, 5)
 get = lambda name: channels[name].pixels
@@ -382,6 +391,7 @@ assert get("R")[0, 0] == 65504 and (get("G").ravel()[1:] == pixel.ravel()[1:] + 
 assert (get("diffuse_indirect.B") == 0.5 * pixel + 2).all()
 assert (get("occlusion.Y") == (pixel / np.float32(3)).astype("f4")).all()
 assert get("depth.Z")[0, 0] == np.float32(1e10) and get("N.Z")[1, 1] == np.float32(0.8)
+assert all((get(f"visibility_sh{k}.Y") == pixel - k).all() for k in range(9))
 assert get("primId.id")[0, 0] == 0xFFFFFFFF and get("primId.id")[2, 4] == 13
 assert header["compression"] == OpenEXR.ZIP_COMPRESSION, header["compression"]
 assert header["pixelAspectRatio"] == 2
@@ -406,7 +416,7 @@ assert tuple(header["dataWindow"][1]) == (4, 2) and tuple(header["displayWindow"
 import sys, OpenImageIO as oiio
 file = oiio.ImageInput.open(sys.argv[1])
 spec = file.spec()
-assert spec.nchannels == 13 and list(spec.channelnames[:4]) == ["R", "G", "B", "A"], spec.channelnames
+assert spec.nchannels == 22 and list(spec.channelnames[:4]) == ["R", "G", "B", "A"], spec.channelnames
 assert spec.alpha_channel == 3
 formats = {n: str(spec.channelformat(i)) for i, n in enumerate(spec.channelnames)}
 assert formats["R"] == "half" and formats["N.X"] == "float" and formats["primId.id"] == "uint"
@@ -450,7 +460,7 @@ assert image.seek_subimage(5, 0) and image.spec().getattribute("oiio:subimagenam
     #[test]
     fn the_exr_crate_reads_back_what_was_written() {
         use ::exr::prelude::{ReadChannels, ReadLayers, read};
-        for (layout, layers) in [(ExrLayout::SinglePart, 1), (ExrLayout::MultiPart, 6)] {
+        for (layout, layers) in [(ExrLayout::SinglePart, 1), (ExrLayout::MultiPart, 7)] {
             let (_folder, path) = written(layout);
             let read = read()
                 .no_deep_data()
@@ -469,7 +479,7 @@ assert image.seek_subimage(5, 0) and image.spec().getattribute("oiio:subimagenam
                 .find(|c| c.name.to_string() == "depth.Z")
                 .unwrap();
             assert_eq!(depth.sample_data.values_as_f32().last(), Some(14.0 / 3.0));
-            assert_eq!(channels.count(), 13);
+            assert_eq!(channels.count(), 22);
         }
     }
 

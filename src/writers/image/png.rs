@@ -3,7 +3,8 @@
 //! Colors are scaled so that the 95th percentile of the brightest component of pixels that are not black becomes white, then
 //! encoded as sRGB and clipped; values are never brightened more than 2^10 times. Fractions (`occlusion`,
 //! `visibility`) are grays as they are, encoded too; depth runs from white (near) to black (far); directions are
-//! `0.5 n + 0.5` without encoding, positions 0…1 over their bounds; ids get distinct colors.
+//! `0.5 n + 0.5` without encoding, positions 0…1 over their bounds; ids get distinct colors. Of harmonics the first
+//! coefficient is shown, white where all is open.
 
 use super::{Error, write_whole};
 use crate::results::resolve::FAR_DEPTH;
@@ -17,13 +18,16 @@ const WHITE_PERCENTILE: f32 = 0.95;
 /// Darker images stay dark: it is noise that would be shown.
 const MOST_EXPOSURE: f32 = 1024.0;
 
+/// Coefficient (0,0) of a function that is 1 over a hemisphere: 2π · √(1/4π).
+const OPEN_HARMONIC: f32 = 1.772_453_9;
+
 /// Write `image` as an 8-bit PNG `path`, under a temporary name first.
 ///
 /// # Errors
 /// If it has no pixels or the file cannot be written; nothing is left behind then.
 pub fn write_png(path: &Path, image: &AovImage) -> Result<(), Error> {
     let color = match image.aov.value_type() {
-        ValueType::Float => ExtendedColorType::L8,
+        ValueType::Float | ValueType::Harmonics => ExtendedColorType::L8,
         _ => ExtendedColorType::Rgb8,
     };
     let mut bytes = Vec::new();
@@ -57,6 +61,10 @@ fn pixels(image: &AovImage) -> Vec<u8> {
         (_, ValueType::Color | ValueType::ColorAlpha) => colors(image),
         (_, ValueType::Normal) => image.data.iter().map(|x| byte(0.5 * x + 0.5)).collect(),
         (_, ValueType::Point) => positions(&image.data),
+        (_, ValueType::Harmonics) => {
+            let open = image.data.iter().step_by(image.aov.components());
+            open.map(|value| srgb(value / OPEN_HARMONIC)).collect()
+        }
         (_, ValueType::Id) => image.data.iter().flat_map(|id| id_color(*id)).collect(),
     }
 }

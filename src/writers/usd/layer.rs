@@ -23,7 +23,7 @@ pub use super::targets::InstancePolicy;
 pub struct BakeOptions {
     /// AOVs to write, in order; the results must hold them all.
     pub aovs: Vec<Aov>,
-    /// AOV shown as `displayColor` (one float = gray, alpha dropped); `None` leaves the asset's.
+    /// AOV shown as `displayColor` (one float or harmonics = gray, alpha dropped); `None` leaves the asset's.
     pub display_color: Option<Aov>,
     /// What becomes of instances.
     pub instances: InstancePolicy,
@@ -86,12 +86,12 @@ impl LayerWriter {
             };
             let primvars = self.prims.entry(path).or_default();
             for buffer in self.options.aovs.iter().map(buffer) {
-                let (type_name, value) = typed(buffer.aov, average(buffer, &spans));
-                let name = buffer.aov.name();
                 // ids do not move, so they are one value whatever the frames
                 let is_id = buffer.aov.value_type() == ValueType::Id;
                 let time = time.filter(|_| !is_id);
-                add_value(primvars, (name, type_name), &spans, (time, value));
+                for (name, type_name, value) in named(buffer.aov, average(buffer, &spans)) {
+                    add_value(primvars, (name, type_name), &spans, (time, value));
+                }
             }
             if let Some(shown) = shown {
                 let value = colors(shown.aov, &average(shown, &spans));
@@ -210,10 +210,25 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f32 {
     (values.sum::<f64>() / count) as f32
 }
 
-/// USD type and value of an AOV's numbers.
+/// The primvars of an AOV's numbers: one of its own name, or one a component; name, USD type, value.
+fn named(aov: Aov, values: Vec<f32>) -> Vec<(&'static str, &'static str, Value)> {
+    if aov.component_name(0).is_none() {
+        let (type_name, value) = typed(aov, values);
+        return vec![(aov.name(), type_name, value)];
+    }
+    let component = |index: usize| {
+        let name = aov.component_name(index)?;
+        let column = values.iter().skip(index).step_by(aov.components());
+        let (type_name, value) = typed(aov, column.copied().collect());
+        Some((name, type_name, value))
+    };
+    (0..aov.components()).filter_map(component).collect()
+}
+
+/// USD type and value of an AOV's numbers, or of those of one component where each is a primvar of its own.
 fn typed(aov: Aov, values: Vec<f32>) -> (&'static str, Value) {
     match aov.value_type() {
-        ValueType::Float => ("float[]", Value::FloatVec(values)),
+        ValueType::Float | ValueType::Harmonics => ("float[]", Value::FloatVec(values)),
         ValueType::Color => ("color3f[]", vectors(&values)),
         ValueType::Normal => ("normal3f[]", vectors(&values)),
         ValueType::Point => ("point3f[]", vectors(&values)),
@@ -237,11 +252,11 @@ fn vectors(values: &[f32]) -> Value {
     Value::Vec3fVec(vectors.collect())
 }
 
-/// The numbers of an AOV as colors to look at: the values themselves.
+/// The numbers of an AOV as colors to look at: the values themselves; of harmonics the first coefficient, as gray.
 fn colors(aov: Aov, values: &[f32]) -> Value {
     let width = aov.components();
     let color = |value: &[f32]| match *value {
-        [gray] => gf::Vec3f::from([gray; 3]),
+        [gray] | [gray, _, _, _, _, ..] => gf::Vec3f::from([gray; 3]),
         _ => gf::Vec3f::from([value[0], value[1], value[2]]),
     };
     Value::Vec3fVec(values.chunks_exact(width).map(color).collect())

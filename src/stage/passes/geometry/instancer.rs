@@ -1,8 +1,7 @@
 //! The arrays of a PointInstancer → points with transforms, those of
 //! `UsdGeomPointInstancer::ComputeInstanceTransformsAtTime` without the prototypes' own.
 //!
-//! A limit: `inactiveIds` is prim metadata that the doors do not deliver; points that it deactivates are drawn. What
-//! `invisibleIds` hides is hidden.
+//! What `invisibleIds` hides at the time and `inactiveIds` at all times is left out.
 
 use super::super::super::raw::RawPrim;
 use super::attributes::{ints, long_ints, quaternions, vectors};
@@ -27,7 +26,9 @@ pub(super) fn points(
     prototype_count: usize,
 ) -> Result<(Vec<Point>, usize), String> {
     let arrays = Arrays::read(instancer)?;
-    let invisible: HashSet<i64> = long_ints(instancer, "invisibleIds").into_iter().collect();
+    let invisible = long_ints(instancer, "invisibleIds");
+    let inactive = instancer.inactive_ids.iter().copied();
+    let invisible: HashSet<i64> = invisible.into_iter().chain(inactive).collect();
     let mut points = Vec::with_capacity(arrays.prototypes.len());
     let mut without = 0;
     for (index, &prototype) in arrays.prototypes.iter().enumerate() {

@@ -115,6 +115,9 @@ pub(super) fn placements(
 fn is_skinned(raw: &RawStage, occurrences: &[Occurrence], occurrence: usize) -> bool {
     let prim = |at: usize| &raw.prims[occurrences[at].prim];
     let has_api = |prim: &RawPrim| prim.api_schemas.iter().any(|api| api == "SkelBindingAPI");
+    if prim(occurrence).is_posed {
+        return false;
+    }
     if has_api(prim(occurrence)) {
         return true;
     }

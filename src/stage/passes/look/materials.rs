@@ -1,13 +1,16 @@
 //! Material prims → [`Material`]: finds the surface shader and reads its inputs.
 
-use super::network::{Source, shader_id, source};
+use super::network::{Source, shader_id, source, value};
 use super::paths::Paths;
 use super::reduce;
 use super::textures::{primvar_read, texture_read};
-use super::values::color;
+use super::values::{color, number};
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Input, Material};
 use glam::Vec4;
+
+/// Deepest chain of computing nodes followed.
+const MAX_NODES: usize = 16;
 
 /// What an input is, which decides how a single number or a color is understood.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -152,7 +155,7 @@ impl Reader<'_> {
                 found.map(|value| constant(value, kind))
             }
             Source::Node { prim: node, output } => {
-                let found = self.node(node, output);
+                let found = self.node(node, output, 0);
                 if found.is_none() {
                     let id = shader_id(self.paths.prim(node));
                     self.warn_of_input(
@@ -166,12 +169,47 @@ impl Reader<'_> {
         }
     }
 
-    fn node(&self, node: usize, output: &str) -> Option<Input> {
+    fn node(&self, node: usize, output: &str, depth: usize) -> Option<Input> {
         if let Some((name, fallback)) = primvar_read(self.paths, node) {
             return Some(Input::Primvar { name, fallback });
         }
         let texture = texture_read(self.paths, node, output);
-        texture.map(|read| Input::Texture(Box::new(read)))
+        let texture = texture.map(|read| Input::Texture(Box::new(read)));
+        texture.or_else(|| self.computed(node, depth))
+    }
+
+    /// MaterialX nodes that a reduced input can express: constants, products with one, and those that pass a value on.
+    fn computed(&self, node: usize, depth: usize) -> Option<Input> {
+        let id = shader_id(self.paths.prim(node));
+        let operation = id.strip_prefix("ND_")?.split('_').next()?;
+        let operand = |name: &str| match source(self.paths, node, &format!("inputs:{name}")) {
+            Source::Value(value, _) => {
+                Some(Input::Constant(color(value).filter(|v| v.is_finite())?))
+            }
+            Source::Node { prim, output } if depth < MAX_NODES => {
+                self.node(prim, output, depth + 1)
+            }
+            _ => None,
+        };
+        match operation {
+            "constant" => operand("value"),
+            "convert" | "dot" => operand("in"),
+            "multiply" => match (operand("in1")?, operand("in2")?) {
+                (input, Input::Constant(factor)) | (Input::Constant(factor), input)
+                    if !matches!(input, Input::Primvar { .. }) =>
+                {
+                    Some(reduce::multiplied(input, factor))
+                }
+                _ => None,
+            },
+            "extract" => {
+                let index = value(self.paths, node, "index")
+                    .and_then(number)
+                    .unwrap_or(0.0);
+                channel_of(operand("in")?, index)
+            }
+            _ => None,
+        }
     }
 
     fn warn_of_input(&self, prim: usize, name: &str, flaw: &str) {
@@ -181,6 +219,22 @@ impl Reader<'_> {
             self.material,
             format!("input `{name}` of {shader} {flaw}: its default is used"),
         );
+    }
+}
+
+/// Component `index` of `input`.
+fn channel_of(input: Input, index: f64) -> Option<Input> {
+    let channels = [0_u8, 1, 2, 3];
+    let channel = channels
+        .into_iter()
+        .find(|&channel| f64::from(channel) == index)?;
+    match input {
+        Input::Constant(value) => Some(Input::scalar(value[usize::from(channel)])),
+        Input::Texture(mut read) if read.channel.is_none() => {
+            read.channel = Some(channel);
+            Some(Input::Texture(read))
+        }
+        _ => None,
     }
 }
 
@@ -388,5 +442,58 @@ mod tests {
         let (material, warnings) = read_material(&nan);
         assert_eq!(material.diffuse_color, Material::default().diffuse_color);
         assert_eq!(warnings, ["unsupported-material-input"]);
+    }
+
+    fn standard() -> Fixture {
+        Fixture::default()
+            .prim("/M", "Material")
+            .connect("outputs:mtlx:surface", "/M/S.outputs:out")
+            .prim("/M/S", "Shader")
+            .token("info:id", "ND_standard_surface_surfaceshader")
+    }
+
+    #[test]
+    fn a_standard_surface_without_inputs_has_the_defaults_of_its_definition() {
+        let (material, _) = read_material(&standard());
+        assert_eq!(material.diffuse_color, Input::color(0.8, 0.8, 0.8));
+        assert_eq!(material.roughness, Input::scalar(0.2));
+        assert_eq!(material.metallic, Input::scalar(0.0));
+    }
+
+    #[test]
+    fn images_of_materialx_are_multiplied_split_and_placed() {
+        let stage = standard()
+            .connect("inputs:base_color", "/M/mul.outputs:out")
+            .connect("inputs:specular_roughness", "/M/part.outputs:out")
+            .prim("/M/mul", "Shader")
+            .token("info:id", "ND_multiply_color3")
+            .connect("inputs:in1", "/M/image.outputs:out")
+            .value("inputs:in2", rgb(0.5, 0.25, 1.0))
+            .prim("/M/part", "Shader")
+            .token("info:id", "ND_extract_color3")
+            .connect("inputs:in", "/M/image.outputs:out")
+            .value("inputs:index", Value::Int(2))
+            .prim("/M/image", "Shader")
+            .token("info:id", "ND_image_color3")
+            .value("inputs:file", asset("/a.png"))
+            .connect("inputs:texcoord", "/M/place.outputs:out")
+            .prim("/M/place", "Shader")
+            .token("info:id", "ND_place2d_vector2")
+            .value("inputs:scale", Value::Vec2(glam::DVec2::new(0.5, 0.25)))
+            .value("inputs:offset", Value::Vec2(glam::DVec2::new(0.1, 0.0)));
+        let (material, warnings) = read_material(&stage);
+        assert_eq!(warnings, ["reduced-material"]);
+        let Input::Texture(base) = material.diffuse_color else {
+            panic!("a texture");
+        };
+        assert_eq!(base.scale, Vec4::new(0.5, 0.25, 1.0, 1.0));
+        assert_eq!(base.wrap_s, Wrap::Repeat);
+        // By the definition of place2d: (0.5, 0.5) / (0.5, 0.25) - (0.1, 0).
+        let placed = base.uv.transform.transform_point2(Vec2::splat(0.5));
+        assert!(placed.distance(Vec2::new(0.9, 2.0)) < 1e-6, "{placed}");
+        let Input::Texture(roughness) = material.roughness else {
+            panic!("a texture");
+        };
+        assert_eq!(roughness.channel, Some(2));
     }
 }

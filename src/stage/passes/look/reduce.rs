@@ -58,17 +58,18 @@ pub(super) fn surface(reader: &Reader<'_>, prim: usize) -> Option<Material> {
     let base = weighted(reader, prim, &BASE);
     let emission = weighted(reader, prim, &EMISSION).filter(|_| emission_is_enabled(reader, prim));
     let others = [scalar(&METALLIC), scalar(&ROUGHNESS), scalar(&OPACITY)];
+    let id = shader_id(reader.paths.prim(prim));
+    let defaults = defaults(id);
     let nothing_known = base.is_none() && emission.is_none() && others.iter().all(Option::is_none);
-    if nothing_known {
+    if nothing_known && defaults.is_none() {
         return None;
     }
-    let id = shader_id(reader.paths.prim(prim));
     reader.diagnostics.warn(
         "reduced-material",
         reader.material,
         format!("surface shader `{id}` is reduced to base color, emission, metalness, roughness and opacity: other effects are left out"),
     );
-    let default = Material::default();
+    let default = defaults.unwrap_or_default();
     let [metallic, roughness, opacity] = others;
     Some(Material {
         diffuse_color: base.unwrap_or(default.diffuse_color.clone()),
@@ -77,6 +78,22 @@ pub(super) fn surface(reader: &Reader<'_>, prim: usize) -> Option<Material> {
         roughness: roughness.unwrap_or(default.roughness.clone()),
         opacity: opacity.unwrap_or(default.opacity.clone()),
         ..default
+    })
+}
+
+/// What shader `id` shows where nothing is authored, as MaterialX's node definitions 1.39 have it; `None` for others.
+fn defaults(id: &str) -> Option<Material> {
+    let (gray, metallic, roughness) = match id {
+        _ if id.contains("standard_surface") => (0.8, 0.0, 0.2),
+        _ if id.contains("open_pbr_surface") => (0.8, 0.0, 0.3),
+        _ if id.contains("gltf_pbr") => (1.0, 1.0, 1.0),
+        _ => return None,
+    };
+    Some(Material {
+        diffuse_color: Input::color(gray, gray, gray),
+        metallic: Input::scalar(metallic),
+        roughness: Input::scalar(roughness),
+        ..Material::default()
     })
 }
 
@@ -101,7 +118,11 @@ fn scaled(input: Input, weight: f32) -> Input {
     } else {
         1.0
     };
-    let weight = Vec4::new(weight, weight, weight, 1.0);
+    multiplied(input, Vec4::new(weight, weight, weight, 1.0))
+}
+
+/// `input · weight`, component by component; the fallback only of a primvar.
+pub(super) fn multiplied(input: Input, weight: Vec4) -> Input {
     match input {
         Input::Constant(value) => Input::Constant(value * weight),
         Input::Texture(mut read) => {

@@ -105,6 +105,9 @@ fn uv_source(paths: &Paths<'_>, node: usize) -> UvSource {
         fallback: Vec2::ZERO,
         transform: Affine2::IDENTITY,
     };
+    if shader_id(paths.prim(node)).contains("tiledimage") {
+        uv.transform = tiling(paths, node);
+    }
     for _ in 0..MAX_TRANSFORMS {
         let Some((prim, input)) = at.take() else {
             break;
@@ -117,6 +120,10 @@ fn uv_source(paths: &Paths<'_>, node: usize) -> UvSource {
             Source::Node { prim, .. } if shader_id(paths.prim(prim)).contains("UsdTransform2d") => {
                 uv.transform *= transform_2d(paths, prim);
                 at = Some((prim, "inputs:in"));
+            }
+            Source::Node { prim, .. } if shader_id(paths.prim(prim)).contains("place2d") => {
+                uv.transform *= place_2d(paths, prim);
+                at = Some((prim, "inputs:texcoord"));
             }
             Source::Node { prim, .. } => {
                 if let Some((name, fallback)) = primvar_read(paths, prim) {
@@ -135,23 +142,52 @@ fn uv_source(paths: &Paths<'_>, node: usize) -> UvSource {
 
 /// UsdTransform2d: `in` scaled, then rotated (degrees, counter-clockwise), then translated. Identity where not finite.
 fn transform_2d(paths: &Paths<'_>, node: usize) -> Affine2 {
-    let vec2 = |input: &str, default: Vec2| {
-        let authored = value(paths, node, input).and_then(color);
-        authored.map_or(default, |v| v.truncate().truncate())
-    };
     let degrees = value(paths, node, "rotation")
         .and_then(number)
         .unwrap_or(0.0);
     let transform = Affine2::from_scale_angle_translation(
-        vec2("scale", Vec2::ONE),
+        vec2(paths, node, "scale", Vec2::ONE),
         narrow(degrees.to_radians()),
-        vec2("translation", Vec2::ZERO),
+        vec2(paths, node, "translation", Vec2::ZERO),
     );
     if transform.is_finite() {
         transform
     } else {
         Affine2::IDENTITY
     }
+}
+
+/// MaterialX `place2d` in its default order: about `pivot`, `texcoord` divided by scale, turned back by `rotate`
+/// degrees, less `offset`. Identity where not finite.
+fn place_2d(paths: &Paths<'_>, node: usize) -> Affine2 {
+    let pivot = vec2(paths, node, "pivot", Vec2::ZERO);
+    let degrees = value(paths, node, "rotate").and_then(number).unwrap_or(0.0);
+    let placed = Affine2::from_translation(pivot - vec2(paths, node, "offset", Vec2::ZERO))
+        * Affine2::from_angle(-narrow(degrees.to_radians()))
+        * Affine2::from_scale(vec2(paths, node, "scale", Vec2::ONE).recip())
+        * Affine2::from_translation(-pivot);
+    if placed.is_finite() {
+        placed
+    } else {
+        Affine2::IDENTITY
+    }
+}
+
+/// `texcoord · uvtiling − uvoffset` of a MaterialX `tiledimage`.
+fn tiling(paths: &Paths<'_>, node: usize) -> Affine2 {
+    let offset = vec2(paths, node, "uvoffset", Vec2::ZERO);
+    let scale = vec2(paths, node, "uvtiling", Vec2::ONE);
+    let tiled = Affine2::from_scale_angle_translation(scale, 0.0, -offset);
+    if tiled.is_finite() {
+        tiled
+    } else {
+        Affine2::IDENTITY
+    }
+}
+
+fn vec2(paths: &Paths<'_>, node: usize, input: &str, default: Vec2) -> Vec2 {
+    let authored = value(paths, node, input).and_then(color);
+    authored.map_or(default, |v| v.truncate().truncate())
 }
 
 /// Primvar name and fallback of a `UsdPrimvarReader` (or a MaterialX `geompropvalue`); `None` for any other node.

@@ -1,0 +1,94 @@
+//! The environment's light at a block of receivers: each direction is looked along once for all of them.
+
+use super::EnvironmentSet;
+use super::set::EnvironmentCell;
+use crate::lighting::stand::Stand;
+use crate::math::luminance;
+use glam::Vec3;
+
+/// Most receivers of a block: one bit each.
+pub(in crate::lighting) const MOST: usize = 64;
+
+/// Light of the environment at a receiver.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SkyLight {
+    /// Along unblocked directions, radiance·sr.
+    pub irradiance: Vec3,
+    /// Mean of the unblocked directions weighted by the luminance of the irradiance from there; of any length.
+    pub direction: Vec3,
+}
+
+/// Light of `cells` at each of `stands`, at most 64, near each other for speed.
+pub(in crate::lighting) fn light(cells: &[EnvironmentCell], stands: &[Stand<'_>]) -> Vec<SkyLight> {
+    assert!(stands.len() <= MOST, "a block holds at most 64 receivers");
+    let mut sums = vec![SkyLight::default(); stands.len()];
+    let mut packet = Packet::default();
+    for cell in cells {
+        packet.gather(cell, stands, &mut sums);
+    }
+    sums
+}
+
+impl SkyLight {
+    /// One receiver on its own: the definition of [`light`].
+    pub(in crate::lighting) fn at(set: &EnvironmentSet, stand: &Stand<'_>) -> Self {
+        let mut sum = Self::default();
+        for cell in set.cells() {
+            let Some(arrival) = cell.arrival(stand.point.normal) else {
+                continue;
+            };
+            let direction = arrival.bent.unwrap_or(cell.direction());
+            if stand.sees_sky(direction) {
+                sum.add(arrival.irradiance, direction);
+            }
+        }
+        sum
+    }
+
+    fn add(&mut self, irradiance: Vec3, direction: Vec3) {
+        self.irradiance += irradiance;
+        self.direction += direction * luminance(irradiance);
+    }
+}
+
+/// Receivers that look along one direction.
+#[derive(Default)]
+struct Packet {
+    origins: Vec<Vec3>,
+    /// Receiver and irradiance of each origin.
+    waiting: Vec<(usize, Vec3)>,
+}
+
+impl Packet {
+    fn gather(&mut self, cell: &EnvironmentCell, stands: &[Stand<'_>], sums: &mut [SkyLight]) {
+        self.origins.clear();
+        self.waiting.clear();
+        for (i, stand) in stands.iter().enumerate() {
+            let Some(arrival) = cell.arrival(stand.point.normal) else {
+                continue;
+            };
+            if let Some(bent) = arrival.bent {
+                if stand.sees_sky(bent) {
+                    sums[i].add(arrival.irradiance, bent);
+                }
+            } else if let Some(start) = stand.start(cell.direction()) {
+                self.origins.push(start);
+                self.waiting.push((i, arrival.irradiance));
+            }
+        }
+        let (Some(first), count) = (stands.first(), self.origins.len()) else {
+            return;
+        };
+        if count == 0 {
+            return;
+        }
+        let all = u64::MAX >> (MOST - count);
+        let blocked =
+            (first.tracer).occluded_along(cell.direction(), &self.origins, f32::INFINITY, all);
+        for (k, &(i, irradiance)) in self.waiting.iter().enumerate() {
+            if blocked >> k & 1 == 0 {
+                sums[i].add(irradiance, cell.direction());
+            }
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! Divides a sky into cells: evenly spread directions plus importance directions where light concentrates, every texel
+//! in the cell of the nearest direction, and the first moment of each cell. Visibility is asked once a cell, and the
+//! cosine within it is exact.
+
+use super::place;
+use super::texels::{LUMINANCE, Sky, Texel};
+use crate::lighting::pattern;
+use crate::math::luminance;
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Blocks of texels a unit of parallel work.
+const BLOCKS: usize = 128;
+
+/// Of all directions, those placed where light concentrates. Tuned on a bunny on a plane under a sky with a sun and four
+/// small bright areas: 128 directions err by 0.95, 1.22, 1.67 % with a share of 0.3, 0.5, 0.7; without the sun by 1.59,
+/// 1.78, 1.95 %; in a box open to the front 3.9, 4.3, 6.0 %.
+const IMPORTANCE_SHARE: f32 = 0.3;
+
+/// Part of the sky.
+#[derive(Debug, Clone, Copy)]
+pub struct EnvironmentCell {
+    direction: Vec3,
+    moments: [Vec3; 3],
+    /// ∫ L ω dω along `direction`, a color.
+    flux: Vec3,
+    /// Half width of the cell along any axis, as a difference of cosines, if its light were spread evenly over it.
+    half_width: f32,
+}
+
+/// What a cell sends to a receiver.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::lighting) struct Arrival {
+    /// If nothing blocks it, radiance·sr.
+    pub(in crate::lighting) irradiance: Vec3,
+    /// Where to look for what blocks it; `None` = along the cell's own direction.
+    pub(in crate::lighting) bent: Option<Vec3>,
+}
+
+impl EnvironmentCell {
+    /// Unit, world space, to the centroid of its light.
+    pub fn direction(&self) -> Vec3 {
+        self.direction
+    }
+
+    /// ∫ L(ω) ω dω over the cell, world space, radiance·sr: element `axis` is a color. Wherever the whole cell is above
+    /// the horizon of a normal n, its irradiance is exactly Σ n\[axis\] · moments\[axis\].
+    pub fn moments(&self) -> [Vec3; 3] {
+        self.moments
+    }
+
+    /// Irradiance of a receiver with unit `normal` if nothing blocks the cell, radiance·sr.
+    pub fn irradiance(&self, normal: Vec3) -> Vec3 {
+        self.arrival(normal)
+            .map_or(Vec3::ZERO, |arrival| arrival.irradiance)
+    }
+
+    /// Light for a receiver with unit `normal`; `None` if the cell is below its horizon. A cell across the horizon counts
+    /// with its upper part, as if its light were spread evenly over its width.
+    pub(in crate::lighting) fn arrival(&self, normal: Vec3) -> Option<Arrival> {
+        let cosine = normal.dot(self.direction);
+        if cosine <= -self.half_width {
+            return None;
+        }
+        if cosine >= self.half_width {
+            let [x, y, z] = self.moments;
+            let irradiance = x * normal.x + y * normal.y + z * normal.z;
+            return Some(Arrival {
+                irradiance: irradiance.max(Vec3::ZERO),
+                bent: None,
+            });
+        }
+        let top = cosine + self.half_width;
+        let bent = if cosine > 0.0 {
+            None
+        } else {
+            let direction = self.direction + normal * (2.0 / 3.0 * top - cosine);
+            Some(direction.try_normalize()?)
+        };
+        Some(Arrival {
+            irradiance: self.flux * (top * top / (4.0 * self.half_width)),
+            bent,
+        })
+    }
+}
+
+/// All domes of a scene as one set of world-fixed directions that all receivers share.
+#[derive(Debug, Clone)]
+pub struct EnvironmentSet {
+    /// Those of evenly spread directions first.
+    cells: Vec<EnvironmentCell>,
+    even: usize,
+}
+
+impl EnvironmentSet {
+    /// The sum of `skies` in about `count` cells; no importance directions if `is_uniform`.
+    pub(super) fn new(skies: &[Sky], count: usize, is_uniform: bool) -> Self {
+        let share = if is_uniform { 0.0 } else { IMPORTANCE_SHARE };
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "part of a small count"
+        )]
+        let wanted = (count as f32 * share) as usize;
+        let skies = &place::split_peaks(skies, wanted);
+        let importance = place::importance(skies, wanted);
+        let even = count - importance.len();
+        let mut directions = pattern::sphere(even);
+        directions.extend(importance);
+        let sums = sums(skies, &directions);
+        let cells = |part: &[Sums]| part.iter().filter_map(Sums::cell).collect::<Vec<_>>();
+        let (mut all, importance) = (cells(&sums[..even]), cells(&sums[even..]));
+        let even = all.len();
+        all.extend(importance);
+        Self { cells: all, even }
+    }
+
+    /// All cells that hold light; their moments sum to that of the environment.
+    pub fn cells(&self) -> &[EnvironmentCell] {
+        &self.cells
+    }
+
+    /// The cells of evenly spread directions: wide and dim, nothing is lost if visibility is blurred over them.
+    pub fn even(&self) -> &[EnvironmentCell] {
+        &self.cells[..self.even]
+    }
+
+    /// The cells of directions placed where light concentrates: their shadows are sharp.
+    pub fn importance(&self) -> &[EnvironmentCell] {
+        &self.cells[self.even..]
+    }
+}
+
+/// Sums over a cell.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    /// Σ luminance.
+    total: f64,
+    /// Σ color · direction, an axis each.
+    moments: [DVec3; 3],
+}
+
+impl Sums {
+    fn add(&mut self, other: &Self) {
+        self.total += other.total;
+        for axis in 0..3 {
+            self.moments[axis] += other.moments[axis];
+        }
+    }
+
+    fn add_texel(&mut self, texel: &Texel) {
+        self.total += f64::from(luminance(texel.light));
+        for axis in 0..3 {
+            self.moments[axis] += texel.light.as_dvec3() * f64::from(texel.direction[axis]);
+        }
+    }
+
+    /// `None` for a cell without light.
+    #[expect(clippy::cast_possible_truncation, reason = "f64 to f32")]
+    fn cell(&self) -> Option<EnvironmentCell> {
+        let [x, y, z] = self.moments;
+        let moment = DVec3::new(x.dot(LUMINANCE), y.dot(LUMINANCE), z.dot(LUMINANCE));
+        let direction = moment.try_normalize()?;
+        // directions are unit, so that their variance about the centroid is 1 − |mean|², over two axes
+        let mean = moment.length() / self.total;
+        let variance = 0.5 * (1.0 - mean * mean).max(0.0);
+        Some(EnvironmentCell {
+            direction: direction.as_vec3(),
+            moments: self.moments.map(|m| m.as_vec3()),
+            flux: (x * direction.x + y * direction.y + z * direction.z).as_vec3(),
+            half_width: (3.0 * variance).sqrt() as f32,
+        })
+    }
+}
+
+/// Sums of every direction's cell over all skies, in a fixed order for any number of threads.
+fn sums(skies: &[Sky], directions: &[Vec3]) -> Vec<Sums> {
+    let part = |blocks: &[Vec<Texel>]| {
+        let mut sums = vec![Sums::default(); directions.len()];
+        for block in blocks {
+            place::assign(block, directions, |nearest, texel| {
+                sums[nearest].add_texel(texel);
+            });
+        }
+        sums
+    };
+    let mut all = vec![Sums::default(); directions.len()];
+    for sky in skies {
+        let parts: Vec<_> = sky.blocks.par_chunks(BLOCKS).map(part).collect();
+        for part in parts {
+            all.iter_mut()
+                .zip(&part)
+                .for_each(|(sum, part)| sum.add(part));
+        }
+    }
+    all
+}

@@ -1,0 +1,592 @@
+//! One scene against what usd-core computes of the stage.
+
+use crate::truth::{Truth, list, number};
+use glam::{DAffine3, DMat4, DVec3};
+use serde_json::Value;
+use std::collections::HashMap;
+use surflux::diagnostics::Warning;
+use surflux::scene::camera::Projection;
+use surflux::scene::{
+    Camera, FaceMaterials, Interpolation, Light, LightKind, Mesh, Prim, Scene, UpAxis,
+};
+
+/// Part of the largest number beside it by which a number may be off: positions are `f32`, after one product of
+/// matrices and in the space of a mesh far from the origin 16 rounding errors of 6e-8.
+const ROUNDING: f64 = 1e-6;
+
+/// Gprims are polyhedra inside their extents: this part of the size may be missing at a side (a polygon of 24 edges
+/// falls 1 − cos(π/24) short).
+const CHORD: f64 = 0.01;
+
+/// What became of the values of a scene.
+#[derive(Debug, Default)]
+pub(crate) struct Tally {
+    pub(crate) prims: usize,
+    pub(crate) equal: usize,
+    /// Not equal, and a warning names the prim.
+    pub(crate) unsupported: usize,
+    /// Not judged: usd-core of `PyPI` has no opinion (looks in `.mtlx` files, light inputs from before USD 21).
+    pub(crate) unjudged: usize,
+    /// In silence.
+    pub(crate) different: usize,
+    /// One line for each field of them.
+    pub(crate) differences: Vec<String>,
+    /// What the unsupported ones are, and how many values.
+    pub(crate) reasons: HashMap<String, usize>,
+}
+
+/// Compares one scene.
+pub(crate) struct Comparison<'a> {
+    scene: &'a Scene,
+    truth: &'a Truth,
+    warnings: &'a [Warning],
+    tally: Tally,
+    /// Our paths of materials in prototypes.
+    shared: HashMap<String, String>,
+}
+
+/// Compare `scene`, read with `warnings`.
+pub(crate) fn compare(scene: &Scene, truth: &Truth, warnings: &[Warning]) -> Tally {
+    let mut comparison = Comparison {
+        scene,
+        truth,
+        warnings,
+        tally: Tally::default(),
+        shared: HashMap::new(),
+    };
+    comparison.stage();
+    comparison.drawn();
+    comparison.lights();
+    comparison.cameras();
+    comparison.settings();
+    comparison.tally
+}
+
+fn text(value: &Value) -> &str {
+    value.as_str().unwrap_or("")
+}
+
+fn close(a: f64, b: f64, scale: f64) -> bool {
+    a == b || (a - b).abs() <= ROUNDING * scale || (a.is_nan() && b.is_nan())
+}
+
+fn largest(values: &[f64]) -> f64 {
+    values.iter().fold(0.0, |most, value| value.abs().max(most))
+}
+
+impl Comparison<'_> {
+    /// Count `found` values that agree, out of `all`.
+    fn count(&mut self, path: &str, field: &str, (agreeing, all): (usize, usize)) {
+        self.tally.equal += agreeing;
+        if agreeing == all {
+            return;
+        }
+        let missing = all - agreeing;
+        match self.warning_of(path) {
+            Some(kind) => {
+                self.tally.unsupported += missing;
+                *self.tally.reasons.entry(kind).or_default() += missing;
+            }
+            None => {
+                self.tally.different += missing;
+                let line = format!("{path} {field}: {missing} of {all} values differ in silence");
+                self.tally.differences.push(line);
+            }
+        }
+    }
+
+    fn one(&mut self, path: &str, field: &str, is_equal: bool) {
+        self.count(path, field, (usize::from(is_equal), 1));
+    }
+
+    fn numbers(&mut self, path: &str, field: &str, found: &[f64], expected: &[f64]) {
+        let scale = largest(expected);
+        let pairs = found.iter().zip(expected);
+        let agreeing = pairs.filter(|(a, b)| close(**a, **b, scale)).count();
+        self.count(path, field, (agreeing, expected.len().max(found.len())));
+    }
+
+    /// Kind of a warning that names `path`, an ancestor of it, the instancer that draws it, or the same prim in a
+    /// prototype.
+    fn warning_of(&self, path: &str) -> Option<String> {
+        let names = |warning: &&Warning| {
+            let prim = warning.prim.as_str();
+            let leads = path
+                .strip_prefix(prim)
+                .is_some_and(|rest| rest.is_empty() || rest.starts_with(['/', '[', '.']));
+            let below_prototype = prim
+                .strip_prefix("/__Prototype_")
+                .and_then(|rest| rest.split_once('/'));
+            (leads && prim.len() > 1)
+                || below_prototype.is_some_and(|(_, rest)| path.ends_with(rest))
+        };
+        self.warnings
+            .iter()
+            .find(names)
+            .map(|warning| warning.kind.clone())
+    }
+
+    fn stage(&mut self) {
+        let is_z = text(&self.truth.index["up"]) == "Z";
+        self.one(
+            "/",
+            "upAxis",
+            (self.scene.stage.up_axis == UpAxis::Z) == is_z,
+        );
+        let meters = number(&self.truth.index["meters"]);
+        self.one(
+            "/",
+            "metersPerUnit",
+            self.scene.stage.meters_per_unit == meters,
+        );
+    }
+
+    fn drawn(&mut self) {
+        let mut ours: HashMap<&str, &Prim> = HashMap::new();
+        for prim in &self.scene.prims {
+            ours.insert(prim.path.as_str(), prim);
+        }
+        let truth = self.truth;
+        for theirs in truth.index["drawn"].as_array().expect("a list") {
+            let path = text(&theirs["path"]);
+            if theirs["empty"].as_bool() == Some(true) {
+                continue;
+            }
+            self.tally.prims += 1;
+            let found = ours.remove(path);
+            self.one(path, text(&theirs["type"]), found.is_some());
+            if let Some(prim) = found {
+                self.prim(prim, theirs);
+            }
+        }
+        let extra: Vec<&str> = ours.into_keys().collect();
+        for path in extra {
+            self.one(path, "drawn, but not by usd-core", false);
+        }
+    }
+
+    fn prim(&mut self, prim: &Prim, theirs: &Value) {
+        let path = prim.path.as_str();
+        let purpose = format!("{:?}", prim.purpose).to_lowercase();
+        self.one(path, "purpose", purpose == text(&theirs["purpose"]));
+        let mesh = self.scene.mesh_of(prim);
+        if theirs["counts"].is_null() {
+            self.extent(prim, theirs);
+            let material = self.material(prim, 0);
+            self.bound(
+                path,
+                material.as_deref(),
+                &theirs["material"],
+                &theirs["dangling"],
+            );
+            return;
+        }
+        self.one(
+            path,
+            "doubleSided",
+            Some(mesh.double_sided) == theirs["double_sided"].as_bool(),
+        );
+        self.one(
+            path,
+            "subdivisionScheme",
+            mesh.scheme == text(&theirs["scheme"]),
+        );
+        self.topology(path, mesh, theirs);
+        self.positions(prim, theirs);
+        self.primvars(path, mesh, theirs);
+        self.materials(prim, theirs);
+    }
+
+    fn world(&self, prim: &Prim, position: glam::Vec3) -> DVec3 {
+        let matrix = prim.world_from_object.matrix3;
+        let columns = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(|axis| axis.as_dvec3());
+        let [x, y, z] = position.as_dvec3().to_array();
+        let translation = prim.world_from_object.translation.as_dvec3();
+        self.scene.origin + translation + columns[0] * x + columns[1] * y + columns[2] * z
+    }
+
+    /// Implicit gprims: their extents, in object space by usd-core's matrix.
+    fn extent(&mut self, prim: &Prim, theirs: &Value) {
+        if theirs["extent"].is_null() {
+            return;
+        }
+        let expected = list(&theirs["extent"]);
+        let rows: [f64; 16] = list(&theirs["matrix"]).try_into().expect("16 numbers");
+        let matrix = DMat4::from_cols_array(&rows);
+        if matrix.determinant() == 0.0 {
+            return;
+        }
+        let object_from_world = matrix.inverse();
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for &position in &self.scene.mesh_of(prim).positions {
+            let position = object_from_world.transform_point3(self.world(prim, position));
+            (low, high) = (low.min(position), high.max(position));
+        }
+        let found = [low.to_array(), high.to_array()].concat();
+        let slack = CHORD * (largest(&expected) + ROUNDING);
+        let agreeing = found
+            .iter()
+            .zip(&expected)
+            .filter(|(a, b)| (*a - *b).abs() <= slack)
+            .count();
+        self.count(&prim.path, "extent", (agreeing, 6));
+    }
+
+    fn topology(&mut self, path: &str, mesh: &Mesh, theirs: &Value) {
+        let (counts, indices) = match &mesh.cage {
+            Some(cage) => (
+                cage.face_vertex_counts.as_slice(),
+                cage.face_vertex_indices.as_slice(),
+            ),
+            None => (&[][..], &[][..]),
+        };
+        let wide = |values: &[u32]| {
+            values
+                .iter()
+                .map(|&value| f64::from(value))
+                .collect::<Vec<_>>()
+        };
+        let (truth, name) = (self.truth, ["faceVertexCounts", "faceVertexIndices"]);
+        self.numbers(path, name[0], &wide(counts), truth.array(&theirs["counts"]));
+        self.numbers(
+            path,
+            name[1],
+            &wide(indices),
+            truth.array(&theirs["indices"]),
+        );
+        let holes = truth.indices(&theirs["holes"]);
+        let drawn_holes = mesh
+            .triangle_faces
+            .iter()
+            .filter(|&&face| holes.contains(&(face as usize)));
+        let drawn_holes = drawn_holes.count();
+        self.count(
+            path,
+            "holeIndices",
+            (holes.len().saturating_sub(drawn_holes), holes.len()),
+        );
+    }
+
+    fn positions(&mut self, prim: &Prim, theirs: &Value) {
+        let which = self.truth.indices(&theirs["which"]);
+        let expected = self.truth.array(&theirs["points"]);
+        let scale = largest(expected);
+        let positions = &self.scene.mesh_of(prim).positions;
+        let agrees = |(&point, expected): (&usize, &[f64])| {
+            let Some(&position) = positions.get(point) else {
+                return 0;
+            };
+            let found = self.world(prim, position).to_array();
+            found
+                .iter()
+                .zip(expected)
+                .filter(|(a, b)| close(**a, **b, scale))
+                .count()
+        };
+        let agreeing = which.iter().zip(expected.chunks_exact(3)).map(agrees).sum();
+        self.count(&prim.path, "world positions", (agreeing, expected.len()));
+    }
+
+    /// At every corner of every triangle. Of refined meshes only what is constant over a face can be told.
+    fn primvars(&mut self, path: &str, mesh: &Mesh, theirs: &Value) {
+        let Some(cage) = &mesh.cage else { return };
+        let starts: Vec<usize> = (cage.face_vertex_counts.iter())
+            .scan(0, |start, &count| {
+                let this = *start;
+                *start += count as usize;
+                Some(this)
+            })
+            .collect();
+        for (name, entry) in theirs["primvars"].as_object().expect("an object") {
+            let values = self.truth.array(&entry[2]);
+            let width = number(&entry[1]);
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "1 to 4"
+            )]
+            let width = width as usize;
+            let interpolation = text(&entry[0]);
+            let Some(primvar) = mesh.primvar(name) else {
+                self.one(path, &format!("primvar {name}"), values.is_empty());
+                continue;
+            };
+            let is_constant = ["constant", "uniform"].contains(&interpolation);
+            if width > 4 || (mesh.scheme != "none" && !is_constant) {
+                continue;
+            }
+            let (mut agreeing, mut all) = (0, 0);
+            for t in 0..mesh.triangles.len() {
+                let face = mesh.triangle_faces[t] as usize;
+                for k in 0..3 {
+                    let point = mesh.triangles[t][k];
+                    let corners =
+                        starts[face]..starts[face] + cage.face_vertex_counts[face] as usize;
+                    let mut slots = match interpolation {
+                        "constant" => 0..1,
+                        "uniform" => face..face + 1,
+                        "vertex" | "varying" => point as usize..point as usize + 1,
+                        _ => corners,
+                    };
+                    let found = corner_value(primvar, mesh, t, k);
+                    let equals = |slot: usize| {
+                        let same_point = interpolation != "faceVarying"
+                            || cage.face_vertex_indices[slot] == point;
+                        let expected = values.get(slot * width..(slot + 1) * width);
+                        same_point
+                            && expected.is_some_and(|expected| {
+                                expected
+                                    .iter()
+                                    .zip(found)
+                                    .all(|(a, b)| close(*a, f64::from(b), largest(expected)))
+                            })
+                    };
+                    all += width;
+                    agreeing += if slots.any(equals) { width } else { 0 };
+                }
+            }
+            self.count(path, &format!("primvar {name}"), (agreeing, all));
+        }
+    }
+
+    fn material(&self, prim: &Prim, face: usize) -> Option<String> {
+        let face = u32::try_from(face).expect("faces are numbered with 32 bits");
+        let id = match &prim.materials {
+            FaceMaterials::Whole(material) => *material,
+            per_face => per_face.of_face(face),
+        };
+        id.map(|id| self.scene.materials[id.index()].path.clone())
+    }
+
+    fn materials(&mut self, prim: &Prim, theirs: &Value) {
+        let count = self.truth.array(&theirs["counts"]).len();
+        let mut expected = vec![Some((&theirs["material"], &theirs["dangling"])); count];
+        let mut taken = vec![false; count];
+        for subset in theirs["subsets"].as_array().expect("a list") {
+            for face in self.truth.indices(&subset[2]) {
+                // a face in two subsets has no defined material
+                let is_new = face < count && !std::mem::replace(&mut taken[face], true);
+                if face < count {
+                    expected[face] = is_new.then_some((&subset[0], &subset[1]));
+                }
+            }
+        }
+        if theirs["subsets"].as_array().is_none_or(Vec::is_empty) {
+            expected.truncate(1);
+        }
+        for (face, expected) in expected.into_iter().enumerate() {
+            if let Some((material, dangling)) = expected {
+                let found = self.material(prim, face);
+                self.bound(&prim.path, found.as_deref(), material, dangling);
+            }
+        }
+    }
+
+    /// All instances share a material, which has one path here: that of one of them, and always the same.
+    fn bound(&mut self, path: &str, found: Option<&str>, expected: &Value, dangling: &Value) {
+        let last = |path: &str| path.rsplit('/').next().unwrap_or("").to_owned();
+        if let (Some(found), true, Some(target)) = (found, expected.is_null(), dangling.as_str())
+            && last(found) == last(target)
+        {
+            self.tally.unjudged += 1;
+            return;
+        }
+        let is_equal = match (found, expected[1].as_str()) {
+            (Some(found), Some(in_prototype)) => {
+                let known = self.shared.entry(in_prototype.to_owned());
+                known.or_insert_with(|| found.to_owned()) == found
+                    && last(found) == last(in_prototype)
+            }
+            _ => found == expected[0].as_str(),
+        };
+        self.one(path, "material", is_equal);
+    }
+
+    fn lights(&mut self) {
+        let scene = self.scene;
+        let truth = self.truth;
+        for theirs in truth.index["lights"].as_array().expect("a list") {
+            let path = text(&theirs["path"]);
+            self.tally.prims += 1;
+            let found = scene.lights.iter().find(|light| light.path == path);
+            self.one(path, text(&theirs["type"]), found.is_some());
+            let linked = theirs["linked"]
+                .as_array()
+                .is_some_and(|links| !links.is_empty());
+            if linked {
+                self.one(path, "light linking", false);
+            }
+            let Some(light) = found else { continue };
+            if theirs["old"].as_bool() == Some(true) {
+                self.tally.unjudged += 1;
+                continue;
+            }
+            self.light(light, theirs);
+        }
+    }
+
+    fn light(&mut self, light: &Light, theirs: &Value) {
+        let path = light.path.as_str();
+        let radiance = light.radiance.as_dvec3().to_array();
+        self.numbers(path, "radiance", &radiance, &list(&theirs["radiance"]));
+        self.one(
+            path,
+            "normalize",
+            Some(light.normalize) == theirs["normalize"].as_bool(),
+        );
+        self.one(
+            path,
+            "shadow:enable",
+            Some(light.casts_shadows) == theirs["shadows"].as_bool(),
+        );
+        self.shape(light, theirs);
+        let shaping = light.shaping.map(|s| {
+            [
+                s.cone_angle,
+                s.cone_softness,
+                s.focus,
+                s.focus_tint.x,
+                s.focus_tint.y,
+                s.focus_tint.z,
+            ]
+            .map(f64::from)
+        });
+        match (shaping, theirs["shaping"].is_null()) {
+            (Some(found), false) => {
+                self.numbers(path, "shaping", &found, &list(&theirs["shaping"]));
+            }
+            (found, missing) => self.one(path, "shaping", found.is_none() == missing),
+        }
+        if let LightKind::Rect { texture, .. } | LightKind::Dome { texture } = &light.kind {
+            let real = texture
+                .as_ref()
+                .and_then(|path| std::fs::canonicalize(path).ok());
+            let real = real.map(|path| path.to_string_lossy().into_owned());
+            self.one(
+                path,
+                "texture",
+                real.as_deref() == theirs["texture"].as_str(),
+            );
+        }
+        let affine = light.world_from_light;
+        let mut matrix = DAffine3::from_mat4(glam::Mat4::from(affine).as_dmat4());
+        matrix.translation += self.scene.origin;
+        // a dome is turned so that its pole is the stage's up axis: only the tests of the look know how
+        if !matches!(light.kind, LightKind::Dome { .. }) {
+            self.matrix(path, matrix, &theirs["matrix"]);
+        }
+    }
+
+    fn shape(&mut self, light: &Light, theirs: &Value) {
+        let shape = |name: &str| number(&theirs["shape"][name]);
+        let (found, expected): (Vec<f32>, Vec<f64>) = match &light.kind {
+            LightKind::Distant { angle } => (vec![*angle], vec![shape("angle").to_radians()]),
+            LightKind::Sphere { radius, .. } | LightKind::Disk { radius } => {
+                (vec![*radius], vec![shape("radius")])
+            }
+            LightKind::Rect { width, height, .. } => {
+                (vec![*width, *height], vec![shape("width"), shape("height")])
+            }
+            LightKind::Cylinder { radius, length } => (
+                vec![*radius, *length],
+                vec![shape("radius"), shape("length")],
+            ),
+            LightKind::Dome { .. } => (vec![], vec![]),
+        };
+        let wide: Vec<f64> = found.into_iter().map(f64::from).collect();
+        self.numbers(&light.path, "shape", &wide, &expected);
+    }
+
+    fn matrix(&mut self, path: &str, found: DAffine3, expected: &Value) {
+        let found = DMat4::from(found).to_cols_array();
+        self.numbers(path, "world matrix", &found, &list(expected));
+    }
+
+    fn cameras(&mut self) {
+        let (scene, truth) = (self.scene, self.truth);
+        for theirs in truth.index["cameras"].as_array().expect("a list") {
+            let path = text(&theirs["path"]);
+            self.tally.prims += 1;
+            let found = scene.cameras.iter().find(|camera| camera.path == path);
+            self.one(path, "Camera", found.is_some());
+            if let Some(camera) = found {
+                self.camera(camera, theirs);
+            }
+        }
+    }
+
+    fn camera(&mut self, camera: &Camera, theirs: &Value) {
+        let path = camera.path.as_str();
+        self.matrix(path, camera.world_from_camera, &theirs["matrix"]);
+        let is_flat = text(&theirs["projection"]) == "orthographic";
+        self.one(
+            path,
+            "projection",
+            (camera.projection == Projection::Orthographic) == is_flat,
+        );
+        let (near, far) = camera.clipping_range;
+        let found = [
+            camera.horizontal_aperture,
+            camera.vertical_aperture,
+            camera.horizontal_aperture_offset,
+            camera.vertical_aperture_offset,
+            camera.focal_length,
+            near,
+            far,
+            camera.exposure,
+        ];
+        for (index, expected) in list(&theirs["lens"]).into_iter().enumerate() {
+            self.numbers(
+                path,
+                &format!("lens number {index}"),
+                &found[index..=index],
+                &[expected],
+            );
+        }
+    }
+
+    fn settings(&mut self) {
+        let (scene, truth) = (self.scene, self.truth);
+        for theirs in truth.index["settings"].as_array().expect("a list") {
+            let path = text(&theirs["path"]);
+            self.tally.prims += 1;
+            let found = scene
+                .render_settings
+                .iter()
+                .find(|settings| settings.path == path);
+            self.one(path, "RenderSettings", found.is_some());
+            let Some(ours) = found else { continue };
+            self.one(
+                path,
+                "camera",
+                ours.camera.as_deref() == theirs["camera"].as_str(),
+            );
+            let (width, height) = ours.resolution;
+            let found = [f64::from(width), f64::from(height)];
+            self.numbers(path, "resolution", &found, &list(&theirs["resolution"]));
+            let products: Vec<&str> = ours
+                .products
+                .iter()
+                .map(|product| product.path.as_str())
+                .collect();
+            self.one(
+                path,
+                "products",
+                serde_json::json!(products) == theirs["products"],
+            );
+        }
+    }
+}
+
+fn corner_value(primvar: &surflux::scene::Primvar, mesh: &Mesh, t: usize, k: usize) -> [f32; 4] {
+    let slot = match &primvar.interpolation {
+        Interpolation::Constant => 0,
+        Interpolation::Uniform => mesh.triangle_faces[t],
+        Interpolation::Vertex => mesh.triangles[t][k],
+        Interpolation::Corner(corners) => corners[t][k],
+    };
+    primvar
+        .values
+        .get(slot as usize)
+        .map_or([f32::NAN; 4], |value| value.to_array())
+}
