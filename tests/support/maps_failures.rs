@@ -86,7 +86,7 @@ fn uneven() -> (Scene, usize) {
     heights.for_each(|p| p.y = 0.3 * (p.x + 0.5 * p.z).sin());
     let coarse = mesh.positions.len();
     let ball = bumpy_ball(6, Vec3::ZERO);
-    let first = u32::try_from(coarse).unwrap();
+    let first = u32::try_from(coarse).expect("a small mesh");
     let at = Vec3::new(20.1, 1.0, 20.2);
     mesh.positions
         .extend(ball.positions.iter().map(|&p| at + 0.02 * p));
