@@ -476,7 +476,7 @@ fn errors_of_single_receivers_are_of_the_true_size_and_mark_the_bad_ones() {
                 "{aov}, {rays} rays: {size}"
             );
             // One draw of an error says little about its deviation, and here most receivers err alike. Chance: ±0.055.
-            assert!(correlation > 0.11, "{aov}, {rays} rays: {correlation}");
+            assert!(correlation > 0.2, "{aov}, {rays} rays: {correlation}");
         }
     }
 }

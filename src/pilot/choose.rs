@@ -298,8 +298,8 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
     /// Gather the reference and check the rays chosen at all pilot receivers; more rays where they do not hold what the
     /// ladder promised.
     fn judge(&mut self, mut rays: f64, law: f64) -> Result<Judge, Cancelled> {
-        let reference_rays = REFERENCE * rays;
-        let reference = self.rays(reference_rays, turn(0), &self.few)?.results;
+        let mut reference_rays = REFERENCE * rays;
+        let mut reference = self.rays(reference_rays, turn(0), &self.few)?.results;
         loop {
             let look = self.rays(rays, 0.0, &self.few)?;
             let share = (reference_rays / rays).powf(-2.0 * law);
@@ -312,8 +312,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
                 error_over_tolerance: Some(ratio),
             });
             let more = (rays * (ratio / AIM).powf(1.0 / law)).min(MOST_RAYS);
-            // Beyond the reference's own number of rays the reference could not tell.
-            if ratio <= 1.0 || more <= rays || more > 0.5 * reference_rays {
+            if ratio <= 1.0 || more <= rays {
                 return Ok(Judge {
                     rays,
                     seconds_per_receiver: look.seconds_per_receiver,
@@ -323,6 +322,11 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
                 });
             }
             rays = more;
+            if rays > 0.5 * reference_rays {
+                // A reference of hardly more rays could not tell.
+                reference_rays = REFERENCE * rays;
+                reference = self.rays(reference_rays, turn(0), &self.few)?.results;
+            }
         }
     }
 

@@ -5,10 +5,14 @@ use crate::gather::Hemisphere;
 use glam::DVec3;
 use std::f64::consts::PI;
 
-/// Groups that directions are dealt out to. Every sixth turn of the golden angle is again far from any simple fraction,
-/// so that each group covers the hemisphere evenly; every eighth (a Fibonacci number) is not: groups then fall into
-/// spiral arms, and told three times the true error.
+/// Groups that directions are dealt out to. Of 4 to 13, six tell most alike for few and many rays and for either kind
+/// of value.
 const GROUPS: usize = 6;
+
+/// What such groups tell over the true error: the horizon cuts the directions that all receivers share at another place
+/// for each, which leaves gaps in groups that the whole set does not have. Measured on two balls on a ground at 64 and
+/// 256 rays: 1.79 and 1.83 for visibility, 1.63 and 1.70 for indirect irradiance.
+const EXCESS: f64 = 1.74;
 
 /// Power of the number of directions that errors fall with: measured from 64 to 4096 lattice rays.
 const LAW: f64 = 0.75;
@@ -42,7 +46,7 @@ fn spread(weights: &[f32], value: impl Fn(usize) -> DVec3) -> f32 {
     let mean = means.iter().sum::<DVec3>() / GROUPS as f64;
     let square: f64 = means.iter().map(|one| (*one - mean).length_squared()).sum();
     let of_group = (square / (3.0 * (GROUPS - 1) as f64)).sqrt();
-    (of_group * (GROUPS as f64).powf(-LAW)) as f32
+    (of_group * (GROUPS as f64).powf(-LAW) / EXCESS) as f32
 }
 
 #[cfg(test)]
@@ -67,11 +71,11 @@ mod tests {
     }
 
     #[test]
-    fn groups_that_disagree_tell_their_deviation_over_six_to_three_quarters() {
+    fn groups_that_disagree_tell_their_deviation_as_that_of_the_whole() {
         // Three groups see nothing, three see everything: deviation √(6 · 0.25 / 5).
         let halves: Vec<f32> = (0..60).map(|i| if i % 6 < 3 { 1.0 } else { 0.0 }).collect();
         let seen = hemisphere(&halves);
-        let expected = 0.3_f64.sqrt() * 6.0_f64.powf(-0.75);
+        let expected = 0.3_f64.sqrt() * 6.0_f64.powf(-0.75) / 1.74;
         assert!((f64::from(openness(&seen)) - expected).abs() < 1e-6);
         assert!((f64::from(indirect(&seen)) - PI * expected).abs() < 1e-5);
     }
