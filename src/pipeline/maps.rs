@@ -171,8 +171,8 @@ impl Method for MapsMethod<'_> {
     }
 }
 
-/// Standard deviation of a verdict that maps err by, times the directions to the power 0.75: on a bumpy ball of 508 k
-/// triangles and a bunny, 64 to 256 directions.
+/// Standard deviation of a verdict that maps err by, times the directions to the power 0.75: a rough fit to one bumpy
+/// ball.
 const VERDICT_ERROR: f64 = 1.2;
 
 impl MapsMethod<'_> {
