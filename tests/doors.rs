@@ -8,12 +8,16 @@
     reason = "the table of stages is what people run it for"
 )]
 
+#[path = "support/stages.rs"]
+mod stages;
+
 #[path = "support/python.rs"]
 #[expect(dead_code, reason = "shared with tests that run scripts of their own")]
 mod python;
 
 use glam::DVec3;
 use python::python;
+use stages::stages_below;
 use std::collections::BTreeSet;
 use std::fmt::Debug;
 use std::fs;
@@ -211,22 +215,6 @@ fn shared() -> Option<PathBuf> {
         PathBuf::from,
     );
     folder.join("assets").is_dir().then_some(folder)
-}
-
-fn stages_below(folder: &Path, found: &mut Vec<PathBuf>) {
-    let mut entries: Vec<PathBuf> = fs::read_dir(folder)
-        .expect("the folder can be read")
-        .map(|entry| entry.expect("an entry").path())
-        .collect();
-    entries.sort();
-    for path in entries {
-        let extension = path.extension().and_then(|extension| extension.to_str());
-        if path.is_dir() {
-            stages_below(&path, found);
-        } else if matches!(extension, Some("usd" | "usda" | "usdc" | "usdz")) {
-            found.push(path);
-        }
-    }
 }
 
 /// Those of `paths` that no other of them brings in: what lies below is compared with them.

@@ -1,11 +1,10 @@
 //! Receivers in an order in which those next to each other in space, and turned to the same side, follow each other.
 
 use crate::math::Bounds3;
-use glam::{UVec3, Vec3};
+use crate::math::bits::{MORTON_CELLS, morton};
+use glam::Vec3;
 use rayon::prelude::*;
 
-/// Cells of the Morton curve along one axis, 2^21: what three axes of a 64-bit key hold.
-const CELLS: f32 = 2_097_152.0;
 /// Neighbors are sorted by the octant of their normals in groups of this many along the curve, so that both sides of a
 /// thin wall end in packets of their own without being taken far from their neighbors.
 const GROUP: usize = 256;
@@ -14,9 +13,12 @@ const GROUP: usize = 256;
 pub(super) fn order(positions: &[Vec3], normals: &[Vec3]) -> Vec<usize> {
     let bounds = Bounds3::around(positions.iter().copied());
     let extent = (bounds.max - bounds.min).max_element();
-    let scale = if extent > 0.0 { CELLS / extent } else { 0.0 };
-    let key =
-        |position: &Vec3| morton(((*position - bounds.min) * scale).min(Vec3::splat(CELLS - 1.0)));
+    let scale = if extent > 0.0 {
+        MORTON_CELLS / extent
+    } else {
+        0.0
+    };
+    let key = |position: &Vec3| morton((*position - bounds.min) * scale);
     let mut keys: Vec<(u64, usize)> = (positions.par_iter().map(key))
         .zip(0..positions.len())
         .collect();
@@ -33,22 +35,6 @@ pub(super) fn undo(order: &[usize], values: &[f32], components: usize) -> Vec<f3
         out[i * components..(i + 1) * components].copy_from_slice(value);
     }
     out
-}
-
-/// Interleaved bits of a cell's coordinates, 0…[`CELLS`].
-fn morton(cell: Vec3) -> u64 {
-    let UVec3 { x, y, z } = cell.as_uvec3();
-    spread(x) | spread(y) << 1 | spread(z) << 2
-}
-
-/// The lower 21 bits of `x`, two zeros between each.
-fn spread(x: u32) -> u64 {
-    let mut x = u64::from(x) & 0x1f_ffff;
-    x = (x | x << 32) & 0x001f_0000_0000_ffff;
-    x = (x | x << 16) & 0x001f_0000_ff00_00ff;
-    x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
-    x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
-    (x | x << 2) & 0x1249_2492_4924_9249
 }
 
 fn octant(normal: Vec3) -> u8 {

@@ -1,5 +1,6 @@
 //! Geometry and light arithmetic without state: bounds, frames, solid angles, harmonics, direction sequences.
 
+pub mod bits;
 pub mod bounds;
 pub mod frame;
 pub mod sequence;

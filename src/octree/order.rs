@@ -1,6 +1,6 @@
 //! [`SurfelCloud`] → surfels in the order of the tree: by class of normal, then along the Morton curve.
 
-use crate::math::Bounds3;
+use crate::math::{Bounds3, bits};
 use crate::surfels::SurfelCloud;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -67,25 +67,9 @@ fn class(normal: Vec3) -> u64 {
     2 * largest as u64 + u64::from(components[largest] < 0.0)
 }
 
-/// The bits of the three cell coordinates, interleaved (x lowest); coordinates outside the cube are moved onto it.
+/// Place along the curve; coordinates outside the cube are moved onto it.
 fn morton(cell: Vec3) -> u64 {
-    let [x, y, z] = cell.min(Vec3::splat(CELLS - 1.0)).to_array().map(cell_bits);
-    x | y << 1 | z << 2
-}
-
-/// The lowest 20 bits of `coordinate`, two zero bits put behind each.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "float to integer casts saturate, which is what is wanted here"
-)]
-fn cell_bits(coordinate: f32) -> u64 {
-    let mut bits = u64::from(coordinate as u32);
-    bits = (bits | bits << 32) & 0x001f_0000_0000_ffff;
-    bits = (bits | bits << 16) & 0x001f_0000_ff00_00ff;
-    bits = (bits | bits << 8) & 0x100f_00f0_0f00_f00f;
-    bits = (bits | bits << 4) & 0x10c3_0c30_c30c_30c3;
-    (bits | bits << 2) & 0x1249_2492_4924_9249
+    bits::morton(cell.min(Vec3::splat(CELLS - 1.0)))
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use super::ray::Line;
 use super::triangles::PacketHits;
 use super::wide::{Column, LANES, PACKET_SIZE, Packet, ROWS, load, row_of};
 use super::{Hit, Occurrence, Tracer};
+use crate::math::bits::bits_of;
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, dispatch};
 use glam::Vec3;
@@ -185,16 +186,4 @@ impl Occurrence {
         }
         before
     }
-}
-
-/// Places of the bits set.
-#[inline(always)]
-fn bits_of(mut mask: u64) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let bit = mask.trailing_zeros() as usize;
-        (mask != 0).then(|| {
-            mask &= mask - 1;
-            bit
-        })
-    })
 }

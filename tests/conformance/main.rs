@@ -14,6 +14,9 @@
     reason = "the table of stages is what people run it for"
 )]
 
+#[path = "../support/stages.rs"]
+mod stages;
+
 mod compare;
 mod features;
 #[path = "../support/python.rs"]
@@ -22,6 +25,7 @@ mod python;
 mod truth;
 
 use compare::{Tally, compare};
+use stages::stages_below;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use surflux::diagnostics::{Diagnostics, Warning};
@@ -117,22 +121,6 @@ fn stages_to_compare(folder: &Path, evaluator: &mut Evaluator) -> Vec<Candidate>
         is_root || candidate.between_frames.is_some()
     };
     all.into_iter().filter(is_compared).collect()
-}
-
-fn stages_below(folder: &Path, found: &mut Vec<PathBuf>) {
-    let entries = std::fs::read_dir(folder).expect("the folder can be read");
-    let mut entries: Vec<PathBuf> = entries
-        .map(|entry| entry.expect("an entry").path())
-        .collect();
-    entries.sort();
-    for path in entries {
-        let extension = path.extension().and_then(|extension| extension.to_str());
-        if path.is_dir() {
-            stages_below(&path, found);
-        } else if matches!(extension, Some("usd" | "usda" | "usdc" | "usdz")) {
-            found.push(path);
-        }
-    }
 }
 
 /// Sums over a set of stages.

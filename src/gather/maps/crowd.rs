@@ -3,6 +3,7 @@
 
 use super::plan::MapsPlan;
 use super::raster;
+use crate::math::bits::morton;
 use crate::receivers::Receivers;
 use crate::scene::Scene;
 use glam::{Affine3A, Vec3};
@@ -96,25 +97,16 @@ const CELLS: f32 = 1024.0;
 
 #[expect(
     clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "cells are 0 to 1023; there are less than 2³² receivers"
+    reason = "there are less than 2³² receivers"
 )]
 fn morton_order(plan: &MapsPlan<'_>, receivers: &Receivers) -> Vec<u32> {
-    let spread = |x: f32| {
-        let mut x = x.clamp(0.0, CELLS - 1.0) as u32;
-        x = (x | x << 16) & 0x0300_00FF;
-        x = (x | x << 8) & 0x0300_F00F;
-        x = (x | x << 4) & 0x030C_30C3;
-        (x | x << 2) & 0x0924_9249
-    };
     let corner = plan.center - plan.radius;
     let scale = CELLS / (2.0 * plan.radius).max(f32::MIN_POSITIVE);
     let keys: Vec<u64> = (receivers.position.par_iter())
         .enumerate()
         .map(|(i, &position)| {
             let cell = (position - corner) * scale;
-            let key = spread(cell.x) | spread(cell.y) << 1 | spread(cell.z) << 2;
-            u64::from(key) << 32 | i as u64
+            morton(cell.min(Vec3::splat(CELLS - 1.0))) << 32 | i as u64
         })
         .collect();
     sorted(keys).iter().map(|&key| key as u32).collect()

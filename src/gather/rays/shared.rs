@@ -8,6 +8,7 @@ use super::stand::Stand;
 use crate::gather::Hemisphere;
 use crate::gather::radiance::{Outgoing, RadianceSource};
 use crate::gather::ray_query::RayQuery;
+use crate::math::bits::bits_of;
 use crate::math::sequence;
 use crate::receivers::Receivers;
 use glam::{Mat3, Vec3};
@@ -195,15 +196,4 @@ impl Packet {
 
 fn mask_of<T>(items: &[T], is_set: impl Fn(&T) -> bool) -> u64 {
     (items.iter().enumerate()).fold(0, |mask, (i, item)| mask | u64::from(is_set(item)) << i)
-}
-
-/// Places of the bits set.
-fn bits_of(mut mask: u64) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let bit = mask.trailing_zeros() as usize;
-        (mask != 0).then(|| {
-            mask &= mask - 1;
-            bit
-        })
-    })
 }

@@ -389,33 +389,26 @@ fn documents(value: &sdf::Value) -> Vec<(String, String)> {
     };
     match value {
         sdf::Value::ReferenceListOp(list) => {
-            let added = [
-                &list.explicit_items,
-                &list.prepended_items,
-                &list.added_items,
-                &list.appended_items,
-            ];
-            added
-                .into_iter()
-                .flatten()
-                .for_each(|item| add(&item.asset_path, &item.prim_path));
+            added(list).for_each(|item| add(&item.asset_path, &item.prim_path));
         }
         sdf::Value::PayloadListOp(list) => {
-            let added = [
-                &list.explicit_items,
-                &list.prepended_items,
-                &list.added_items,
-                &list.appended_items,
-            ];
-            added
-                .into_iter()
-                .flatten()
-                .for_each(|item| add(&item.asset_path, &item.prim_path));
+            added(list).for_each(|item| add(&item.asset_path, &item.prim_path));
         }
         sdf::Value::Payload(item) => add(&item.asset_path, &item.prim_path),
         _ => {}
     }
     all
+}
+
+/// What `list` adds, in whichever way.
+fn added<T: Default + Clone + PartialEq>(list: &sdf::ListOp<T>) -> impl Iterator<Item = &T> {
+    let lists = [
+        &list.explicit_items,
+        &list.prepended_items,
+        &list.added_items,
+        &list.appended_items,
+    ];
+    lists.into_iter().flatten()
 }
 
 impl Sites {
