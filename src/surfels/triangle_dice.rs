@@ -12,8 +12,9 @@ use glam::{DVec3, Vec3};
 const WHOLE_BELOW: f64 = 1.5;
 
 /// Below this sine of the angle between base and median a triangle is cut at its altitude: cells would be so skewed
-/// that they waste a third of their number.
-const SKEWED_BELOW: f64 = 0.7;
+/// that corners lie farther than 1.5 spacings from their middle. Of 1.6 million random triangles none has such a cell;
+/// at 0.8 two of three runs of 300 thousand found one, at 0.7 one in a thousand has.
+const SKEWED_BELOW: f64 = 0.85;
 
 /// Weights of a triangle's three corners.
 pub type Barycentric = Vec3;
