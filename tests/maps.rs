@@ -326,6 +326,19 @@ fn bent_normals_and_all_other_aovs_come_in_the_order_asked_for() {
 }
 
 #[test]
+fn harmonics_of_the_visibility_match_those_by_rays() {
+    let scene = dense::on_ground(dense::bumpy_ball(40, Vec3::ZERO), 8);
+    let receivers = every(&dense::vertices(&scene), 41);
+    let aovs = [Aov::VisibilitySh];
+    let [ours, truth] = both(&scene, &receivers, &MapsSettings::default(), &aovs);
+    let pairs = ours.buffers[0].data.iter().zip(&truth.buffers[0].data);
+    let square: f32 = pairs.map(|(a, b)| (a - b) * (a - b)).sum();
+    let rms = (square / truth.buffers[0].data.len() as f32).sqrt();
+    // √π is the constant coefficient of an open hemisphere; either engine has its directions' 1 %.
+    assert!(rms < 0.02 * PI.sqrt(), "{rms}");
+}
+
+#[test]
 fn any_number_of_threads_gives_the_same_bits() {
     let scene = dense::on_ground(dense::bumpy_ball(30, Vec3::ZERO), 8);
     let receivers = dense::vertices(&scene);
