@@ -37,6 +37,11 @@ impl<'a> Environment<'a> {
         matches!(self, Self::Uniform(_) | Self::Unlit)
     }
 
+    /// True if [`Self::look`] takes the less time the nearer to each other its points are.
+    pub(super) fn looks_together(self) -> bool {
+        matches!(self, Self::Sampled(_))
+    }
+
     /// Light at `points`, neighbors, before their hemispheres are seen; empty where these are all it takes.
     pub(super) fn look(self, tracer: &Tracer, points: &[ShadePoint]) -> Vec<SkyLight> {
         match self {

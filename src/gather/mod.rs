@@ -128,7 +128,7 @@ pub fn gather(
     let work = Work::plan(scene, aovs);
     let phase = diagnostics.phase("gather", "receivers", receivers.len() as u64);
     let mut results = empty_results(aovs, receivers.len());
-    let order = (work.hemisphere && engine.gains_from_neighbors())
+    let order = (work.gains_from_neighbors(engine))
         .then(|| neighbors::order(&receivers.position, &receivers.normal));
     split(&mut results, receivers.len(), engine.block_size())
         .into_par_iter()
@@ -215,6 +215,12 @@ impl<'a> Work<'a> {
             indirect,
             hemisphere: indirect || openness || environment.needs_hemisphere(),
         }
+    }
+
+    /// True if a block takes the less time the nearer to each other its receivers are.
+    fn gains_from_neighbors(&self, engine: &dyn Engine) -> bool {
+        let sees = self.hemisphere && engine.gains_from_neighbors();
+        sees || self.environment.looks_together()
     }
 
     fn fill(
