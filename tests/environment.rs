@@ -228,7 +228,7 @@ fn both_parts_of_the_set_hold_the_whole_sky() {
     }
     let (points, tracer) = (in_the_open(50), Tracer::new(&scene));
     let whole = lighting.environment_of(&tracer, &points);
-    let sharp = lighting.environment_importance_of(&tracer, &points);
+    let sharp = set.importance_light(&tracer, &points);
     for (point, (whole, sharp)) in points.iter().zip(whole.iter().zip(sharp)) {
         let even = set.even().iter().map(|cell| cell.irradiance(point.normal));
         let sum = sharp.irradiance + even.sum::<Vec3>();

@@ -4,8 +4,12 @@
 mod dense;
 #[path = "support/maps_failures.rs"]
 mod failures;
+#[path = "support/maps_image.rs"]
+mod image;
 #[path = "support/scenes.rs"]
 mod scenes;
+#[path = "support/sky.rs"]
+mod sky;
 #[path = "support/maps_speed.rs"]
 mod speed;
 
@@ -287,7 +291,7 @@ fn the_other_engine_is_asked_only_for_what_is_ambiguous() {
             (&plan, &MapsSettings::default()),
             None,
             (&receivers, &aovs),
-            &mut other,
+            (&mut other, &|| unreachable!("no image of a sky is lit")),
             &dense::quiet(),
         )
         .expect("not cancelled");
@@ -384,8 +388,10 @@ fn a_uniform_sky_gives_pi_times_its_radiance_where_it_is_visible() {
     let shader = Shader::new(&scene, &quiet);
     let tracer = Tracer::new(&scene);
     let lighting = Lighting::new(&shader, LightSamples::default(), &quiet);
-    assert!(maps::supports(Aov::IrradianceEnvironment, Some(&lighting)));
-    assert!(!maps::supports(Aov::IrradianceIndirect, Some(&lighting)));
+    assert!(!maps::needs_sky(
+        Aov::IrradianceEnvironment,
+        Some(&lighting)
+    ));
     let with = GatherScene {
         shader: &shader,
         tracer: &tracer,

@@ -259,8 +259,8 @@ pub(super) enum EngineName {
     Auto,
     /// Rays against the scene, radiance read from the surfels at the hit.
     Rays,
-    /// Occlusion, visibility, bent normals and uniform skies by depth maps that all receivers share, the rest by rays:
-    /// for dense meshes and whole pictures.
+    /// Occlusion, visibility, bent normals and light of the sky by depth maps that all receivers share, the rest by
+    /// rays: for dense meshes and whole pictures.
     Maps,
     /// The published method: surfels and clusters rasterized onto a cube.
     Paper,

@@ -57,6 +57,11 @@ impl Environment {
             .map(|count| EnvironmentSet::new(&skies, count.max(2) as usize, self.uniform.is_some()))
     }
 
+    /// The sky divided into cells about `sites`, unit, and about `importance` more where light concentrates.
+    pub(super) fn set_along(&self, sites: &[Vec3], importance: usize) -> EnvironmentSet {
+        EnvironmentSet::along(&self.skies(), sites, importance)
+    }
+
     /// One for each map, one for all even domes.
     fn skies(&self) -> Vec<Sky> {
         let mapped = |dome: &Dome| dome.map.as_ref().map(|map| Sky::of(dome, map));

@@ -214,15 +214,18 @@ impl Lighting {
         in_blocks(tracer, points, |stands| self.environment.block(set, stands))
     }
 
-    /// Of [`Self::environment_of`] only what comes from [`EnvironmentSet::importance`]: for engines that see the even
-    /// part in another way. Black under an even sky, which has no such part.
-    pub fn environment_importance_of(
-        &self,
-        tracer: &Tracer,
-        points: &[ShadePoint],
-    ) -> Vec<SkyLight> {
-        let cells = self.fine.sky.importance();
-        in_blocks(tracer, points, |stands| environment::light(cells, stands))
+    /// The sky divided anew, for engines that look along directions of their own: [`EnvironmentSet::even`] then has one
+    /// cell for each of the unit `directions`, in their order, and [`EnvironmentSet::importance`] about `share` times as
+    /// many as [`Self::environment_set`]. Costs tens of milliseconds for a large map.
+    pub fn environment_along(&self, directions: &[Vec3], share: f32) -> EnvironmentSet {
+        let usual = self.fine.sky.importance().len();
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "part of a small count"
+        )]
+        let importance = (usual as f32 * share).ceil() as usize;
+        self.environment.set_along(directions, importance)
     }
 
     /// The directions that all receivers look at the environment along; empty without domes.

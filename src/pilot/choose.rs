@@ -174,7 +174,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             mean: self.light.means[i],
             allowed: left.max(least).sqrt(),
             fixed,
-            is_sky: maps::supports(aov, self.pilot.scenes.run.lighting),
+            is_sky: maps::supports(aov),
         });
     }
 

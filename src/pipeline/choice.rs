@@ -217,8 +217,7 @@ pub(super) fn look(
         };
         Box::new(stand.rays_with(settings)) as Box<dyn Method>
     };
-    let sees_sky = |&aov: &Aov| maps::supports(aov, stand.scene().lighting);
-    let is_sky = stand.aovs.iter().any(sees_sky);
+    let is_sky = stand.aovs.iter().any(|&aov| maps::supports(aov));
     let pilot = Pilot {
         scenes: LightScenes {
             run: stand.scene(),

@@ -4,13 +4,12 @@ use super::gather::Stand;
 use super::report::Report;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::maps::{self, MapsPlan, MapsSettings};
-use crate::gather::{self, Engine, GatherScene, Hemisphere, RaysEngine};
+use crate::gather::{self, GatherScene, RaysEngine};
 use crate::pilot::error::{mean_magnitude, rms_difference, values};
 use crate::pilot::{self, Check, Knobs, Method};
 use crate::receivers::Receivers;
 use crate::results::{Aov, AovBuffer, Results};
 use serde_json::json;
-use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Rays that judge maps where no pilot has: at 1 % error of maps, theirs is at most a third.
@@ -35,7 +34,9 @@ pub(super) struct MapsKnobs {
 pub(super) struct MapsMethod<'a> {
     plan: &'a MapsPlan<'a>,
     settings: MapsSettings,
-    handed_over: Counted<RaysEngine<'a>>,
+    handed_over: RaysEngine<'a>,
+    /// Receivers that these have computed.
+    handed_over_count: AtomicUsize,
     others: RaysEngine<'a>,
     promise: Option<Promise>,
     is_redone: AtomicBool,
@@ -60,10 +61,8 @@ impl<'a> MapsMethod<'a> {
         Self {
             plan,
             settings,
-            handed_over: Counted {
-                engine: handed_over,
-                receivers: AtomicUsize::new(0),
-            },
+            handed_over,
+            handed_over_count: AtomicUsize::new(0),
             others,
             promise,
             is_redone: AtomicBool::new(false),
@@ -77,10 +76,8 @@ impl<'a> MapsMethod<'a> {
 
     /// Tell `report` who computed what.
     pub(super) fn record(&self, stand: &Stand<'_>, report: &mut Report) {
-        let lighting = stand.scene().lighting;
         let engine = |aov: Aov| {
-            let is_map =
-                maps::supports(aov.error_of().unwrap_or(aov), lighting) && !self.is_redone();
+            let is_map = maps::supports(aov.error_of().unwrap_or(aov)) && !self.is_redone();
             let name = if is_map { "maps" } else { "rays" };
             (aov.name().to_owned(), name.into())
         };
@@ -90,7 +87,7 @@ impl<'a> MapsMethod<'a> {
         report.set("directions", self.settings.directions);
         report.set("map_pixel", f64::from(self.settings.pixel));
         report.set("map_cell", f64::from(self.settings.cell));
-        let count = self.handed_over.receivers.load(Ordering::Relaxed);
+        let count = self.handed_over_count.load(Ordering::Relaxed);
         let share = count as f64 / stand.receivers.len().max(1) as f64;
         report.set("handed_over", json!({ "count": count, "share": share }));
     }
@@ -102,15 +99,19 @@ impl<'a> MapsMethod<'a> {
         (receivers, aovs): (&Receivers, &[Aov]),
         diagnostics: &Diagnostics,
     ) -> Result<Results, Cancelled> {
-        self.handed_over.receivers.store(0, Ordering::Relaxed);
-        let map = (self.plan, &self.settings);
-        let seen = maps::gather(
-            scene,
-            map,
-            &self.handed_over,
+        let mut count = 0;
+        let mut by_rays = |few: &Receivers, aovs: &[Aov]| {
+            count += few.len();
+            gather::gather(scene, &self.handed_over, few, aovs, diagnostics)
+        };
+        let seen = maps::gather_sky(
+            (self.plan, &self.settings),
+            scene.lighting,
             (receivers, aovs),
+            (&mut by_rays, &|| scene.tracer),
             diagnostics,
         )?;
+        self.handed_over_count.store(count, Ordering::Relaxed);
         let keeps = |promise: &Promise| {
             let errors = promise.check.errors(&seen);
             errors
@@ -121,13 +122,7 @@ impl<'a> MapsMethod<'a> {
             return Ok(seen);
         }
         self.is_redone.store(true, Ordering::Relaxed);
-        gather::gather(
-            scene,
-            &self.handed_over.engine,
-            receivers,
-            aovs,
-            diagnostics,
-        )
+        gather::gather(scene, &self.handed_over, receivers, aovs, diagnostics)
     }
 }
 
@@ -139,7 +134,7 @@ impl Method for MapsMethod<'_> {
         aovs: &[Aov],
         diagnostics: &Diagnostics,
     ) -> Result<Results, Cancelled> {
-        let is_sky = |aov: Aov| maps::supports(aov.error_of().unwrap_or(aov), scene.lighting);
+        let is_sky = |aov: Aov| maps::supports(aov.error_of().unwrap_or(aov));
         let (sky, rest): (Vec<Aov>, Vec<Aov>) = aovs.iter().partition(|&&aov| is_sky(aov));
         let mut found = if rest.is_empty() {
             Results::default()
@@ -197,34 +192,6 @@ impl MapsMethod<'_> {
         #[expect(clippy::cast_possible_truncation, reason = "rounded once, at its end")]
         let error = |shape: f64| (scale * shape) as f32;
         shape.into_iter().map(error).collect()
-    }
-}
-
-/// An engine that counts its receivers.
-#[derive(Debug)]
-struct Counted<E> {
-    engine: E,
-    receivers: AtomicUsize,
-}
-
-impl<E: Engine> Engine for Counted<E> {
-    fn see(
-        &self,
-        receivers: &Receivers,
-        block: Range<usize>,
-        scratch: &mut Hemisphere,
-        visit: &mut dyn FnMut(usize, &Hemisphere),
-    ) {
-        self.receivers.fetch_add(block.len(), Ordering::Relaxed);
-        self.engine.see(receivers, block, scratch, visit);
-    }
-
-    fn name(&self) -> &'static str {
-        self.engine.name()
-    }
-
-    fn block_size(&self) -> usize {
-        self.engine.block_size()
     }
 }
 

@@ -329,7 +329,7 @@ impl Arena<'_> {
             });
         let maps = MAPS
             .iter()
-            .filter(|_| supports(aov, stand.scene().lighting))
+            .filter(|_| supports(aov))
             .map(|&(directions, pixel, cell, bias)| {
                 let settings = MapsSettings {
                     directions,

@@ -48,7 +48,7 @@ fn cpu() -> f64 {
 }
 
 /// What `work` returns and the middle of three times it took, seconds of processor time.
-fn median_cpu<T>(mut work: impl FnMut() -> T) -> (T, f64) {
+pub(crate) fn median_cpu<T>(mut work: impl FnMut() -> T) -> (T, f64) {
     let mut timed = || {
         let start = cpu();
         let result = work();
@@ -60,8 +60,8 @@ fn median_cpu<T>(mut work: impl FnMut() -> T) -> (T, f64) {
     middle
 }
 
-struct Errors {
-    rmse: f64,
+pub(crate) struct Errors {
+    pub(crate) rmse: f64,
     bias: f64,
     p99: f64,
 }
@@ -73,7 +73,7 @@ impl std::fmt::Display for Errors {
     }
 }
 
-fn errors(values: &[f32], truth: &[f32]) -> Errors {
+pub(crate) fn errors(values: &[f32], truth: &[f32]) -> Errors {
     let n = truth.len() as f64;
     let mean = truth.iter().map(|&t| f64::from(t)).sum::<f64>() / n;
     let diffs: Vec<f64> = values
@@ -191,7 +191,7 @@ fn measure(name: &str, scene: &Scene, settings: &[MapsSettings]) {
 }
 
 /// Microseconds of rays at this error, log-log through the measured points.
-fn interpolate(law: &[(f64, f64)], error: f64) -> f64 {
+pub(crate) fn interpolate(law: &[(f64, f64)], error: f64) -> f64 {
     let x = error.ln();
     let k = (0..law.len() - 2)
         .find(|&k| x > law[k + 1].0)

@@ -7,6 +7,8 @@ use std::f32::consts::TAU;
 /// One axis and how its map lies across it. The three vectors are orthonormal.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Axis {
+    /// Its place among all.
+    pub(super) number: usize,
     /// Along the rows of the map.
     pub(super) right: Vec3,
     /// Along its columns.
@@ -33,6 +35,7 @@ pub(super) fn axes(count: u32) -> Vec<Axis> {
             let shift = sequence::sobol_owen(i, 1);
             let (sin, cos) = (TAU * sequence::sobol_owen(i, 2).x).sin_cos();
             Axis {
+                number: i as usize,
                 right: frame.tangent * cos + frame.bitangent * sin,
                 up: frame.bitangent * cos - frame.tangent * sin,
                 direction,

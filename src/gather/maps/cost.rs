@@ -6,7 +6,8 @@ use super::{MapsPlan, MapsSettings};
 /// thread with 512-bit vectors, on a bumpy ball of 1.08 M triangles over a ground (`cargo bench --bench maps`).
 const DRAW: f64 = 7.0;
 
-/// Nanoseconds for one receiver to look along one axis, a class of maps.
+/// Nanoseconds for one receiver to look along one axis, a class of maps. Adding up the light of the sky is lost in it:
+/// 4.34 µs a vertex for 256 directions with it, 4.56 without.
 const LOOK: f64 = 3.6;
 
 /// Nanoseconds a receiver before the first look.

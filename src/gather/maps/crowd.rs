@@ -36,16 +36,19 @@ pub(super) struct Sums {
     pub(super) uncertain: Lanes,
     /// Sums over the open directions of what was asked for.
     pub(super) channels: Vec<Lanes>,
+    /// Rows of [`super::sky`].
+    pub(super) sky: Vec<Lanes>,
 }
 
 impl Sums {
-    fn zero(channels: usize) -> Self {
+    fn zero((channels, sky): (usize, usize)) -> Self {
         let zero = [0.0; LANES];
         Self {
             weight: zero,
             open: zero,
             uncertain: zero,
             channels: vec![zero; channels],
+            sky: vec![zero; sky],
         }
     }
 }
@@ -60,8 +63,8 @@ pub(super) struct Crowd {
 }
 
 impl Crowd {
-    /// `channels`: how many sums over open directions each receiver keeps.
-    pub(super) fn new(plan: &MapsPlan<'_>, receivers: &Receivers, channels: usize) -> Self {
+    /// `rows`: how many sums over open directions each receiver keeps, and how many of the sky.
+    pub(super) fn new(plan: &MapsPlan<'_>, receivers: &Receivers, rows: (usize, usize)) -> Self {
         let order = morton_order(plan, receivers);
         // In the receivers' order, which is that of their triangles.
         let tags: Vec<u32> = (0..receivers.len())
@@ -73,7 +76,7 @@ impl Crowd {
             .map(|lanes| block(plan, (receivers, &tags), lanes))
             .collect();
         Self {
-            sums: vec![Sums::zero(channels); blocks.len()],
+            sums: vec![Sums::zero(rows); blocks.len()],
             blocks,
             order,
         }

@@ -9,6 +9,7 @@
 use super::axes::Axis;
 use super::flat::FlatView;
 use super::raster::DepthMap;
+use super::sky::SkyCell;
 
 /// Below this cosine to the tangent plane a direction counts as lying in it: its weight is nothing, its slope huge.
 pub(super) const LEAST_COSINE: f32 = 1e-3;
@@ -40,6 +41,8 @@ pub(super) struct View {
     pub(super) flats: Vec<FlatView>,
     /// What an open direction adds to the sums: along the axis and against it.
     pub(super) channels: [Vec<f32>; 2],
+    /// The cells of the sky along the axis and against it, if they are asked for.
+    pub(super) sky: Option<[SkyCell; 2]>,
 }
 
 /// What is the same for all axes.

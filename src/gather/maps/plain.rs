@@ -7,6 +7,7 @@ use super::look::{
     FOREIGN_SHARE, FOREIGN_UNCERTAIN, LEAST_COSINE, OWN_UNCERTAIN, Rules, SLOPE_SHARE, View,
 };
 use super::raster::{DepthMap, TAG_BITS};
+use super::sky::{self, SEEN, SUNKEN, SkyCell, TOWARDS};
 use glam::Vec3;
 
 /// Add what lane `lane` of `block` sees along one axis to its sums.
@@ -47,6 +48,61 @@ pub(super) fn look(view: &View, rules: &Rules, block: &Block, lane: usize, sums:
         };
         sum[lane] += factor * view.channels[place.side][k];
     }
+    for (side, cell) in view.sky.iter().flatten().enumerate() {
+        let light = if side != place.side {
+            Light::Sunken
+        } else if counted > 0.0 {
+            Light::Seen
+        } else {
+            Light::Covered
+        };
+        add_sky(cell, at(&block.normal), light, (sums, lane));
+    }
+}
+
+/// How a cell of the sky stands to a receiver.
+#[derive(PartialEq)]
+enum Light {
+    Seen,
+    Covered,
+    /// Its direction is below the horizon.
+    Sunken,
+}
+
+fn add_sky(cell: &SkyCell, normal: [f32; 3], light: Light, (sums, lane): (&mut Sums, usize)) {
+    let Some(arrival) = arrival(cell, normal).filter(|_| light != Light::Covered) else {
+        return;
+    };
+    let first = if light == Light::Seen { SEEN } else { SUNKEN };
+    for (color, value) in arrival.iter().enumerate() {
+        sums.sky[first + color][lane] += value;
+    }
+    let [r, g, b] = sky::weights();
+    let bright = arrival[0] * r + arrival[1] * g + arrival[2] * b;
+    for (axis, sum) in sums.sky.iter_mut().skip(TOWARDS).enumerate() {
+        if light == Light::Seen {
+            sum[lane] += bright * cell.direction[axis];
+        }
+    }
+}
+
+/// Irradiance from a cell if nothing blocks it, as [`crate::lighting::EnvironmentCell::irradiance`]; `None` below the
+/// horizon.
+fn arrival(cell: &SkyCell, normal: [f32; 3]) -> Option<[f32; 3]> {
+    let dot = |v: Vec3| v.x * normal[0] + v.y * normal[1] + v.z * normal[2];
+    let cosine = dot(cell.direction);
+    let top = cosine + cell.half_width;
+    if top <= 0.0 {
+        return None;
+    }
+    let is_above = cosine >= cell.half_width;
+    Some([0, 1, 2].map(|color| {
+        if is_above {
+            dot(cell.moments[color]).max(0.0)
+        } else {
+            top * top * cell.rise[color]
+        }
+    }))
 }
 
 /// A receiver in the frame of an axis, which is turned round where the receiver looks against it.

@@ -1,36 +1,32 @@
 //! The AOVs that maps can compute, and the other engine for what they cannot.
 
-use super::{MapsPlan, MapsSettings, Visibility, Wanted, visibility};
+use super::{MapsPlan, MapsSettings, MapsSky, SkyWanted, Visibility, Wanted, visibility};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::{self, Engine, GatherScene};
 use crate::lighting::Lighting;
 use crate::receivers::Receivers;
 use crate::results::{Aov, AovBuffer, Results};
+use crate::trace::Tracer;
 use glam::Vec3;
 use std::f32::consts::PI;
 
-/// True if maps compute `aov` themselves: what only asks for the sky, and that from a uniform one.
-pub fn supports(aov: Aov, lighting: Option<&Lighting>) -> bool {
-    match aov {
-        aov if aov.is_openness() => true,
-        Aov::IrradianceEnvironment => sky(lighting).is_some(),
-        _ => false,
-    }
+/// True if maps compute `aov` themselves: what only asks for the sky.
+pub fn supports(aov: Aov) -> bool {
+    aov.is_openness() || asks_environment(aov)
 }
 
-/// Radiance of the sky if it is uniform.
-fn sky(lighting: Option<&Lighting>) -> Option<Vec3> {
-    lighting.map_or(Some(Vec3::ZERO), |lighting| {
-        if lighting.has_environment() {
-            lighting.uniform_environment()
-        } else {
-            Some(Vec3::ZERO)
-        }
-    })
+fn asks_environment(aov: Aov) -> bool {
+    matches!(aov, Aov::IrradianceEnvironment | Aov::IlluminationDirection)
+}
+
+/// True if maps need a [`MapsSky`] for `aov`: its environment has an image.
+pub fn needs_sky(aov: Aov, lighting: Option<&Lighting>) -> bool {
+    asks_environment(aov) && lighting.is_some_and(|light| light.uniform_environment().is_none())
 }
 
 /// Compute `aovs` at every receiver, one buffer each in the order given: those that maps support by maps, but at
-/// ambiguous receivers by `other`; all others by `other`. The same bits for any number of threads.
+/// ambiguous receivers by `other`; all others by `other`. Suns and small bright areas of an environment with an image
+/// are looked at by rays. The same bits for any number of threads.
 ///
 /// # Errors
 /// When cancelled.
@@ -41,8 +37,7 @@ pub fn gather(
     (receivers, aovs): (&Receivers, &[Aov]),
     diagnostics: &Diagnostics,
 ) -> Result<Results, Cancelled> {
-    let (own, rest): (Vec<Aov>, Vec<Aov>) =
-        aovs.iter().partition(|&&aov| supports(aov, scene.lighting));
+    let (own, rest): (Vec<Aov>, Vec<Aov>) = aovs.iter().partition(|&&aov| supports(aov));
     let mut found = if rest.is_empty() {
         Results::default()
     } else {
@@ -51,9 +46,14 @@ pub fn gather(
     if !own.is_empty() {
         let mut ask =
             |few: &Receivers, aovs: &[Aov]| gather::gather(scene, other, few, aovs, diagnostics);
-        let lighting = scene.lighting;
-        let receivers = (receivers, &own[..]);
-        let mut results = gather_sky((plan, settings), lighting, receivers, &mut ask, diagnostics)?;
+        let asked = (receivers, &own[..]);
+        let mut results = gather_sky(
+            (plan, settings),
+            scene.lighting,
+            asked,
+            (&mut ask, &|| scene.tracer),
+            diagnostics,
+        )?;
         found.buffers.append(&mut results.buffers);
     }
     let place = |buffer: &AovBuffer| aovs.iter().position(|&aov| aov == buffer.aov);
@@ -65,27 +65,42 @@ pub fn gather(
 pub type Ask<'a> = dyn FnMut(&Receivers, &[Aov]) -> Result<Results, Cancelled> + 'a;
 
 /// As [`gather()`], only `aovs` that maps support. `other` is called at most once, and not at all where no receiver is
-/// ambiguous: what it works with, a [`crate::trace::Tracer`] above all, need not be made before.
+/// ambiguous; `tracer` where an environment has bright areas: what they work with need not be made before.
 ///
 /// # Errors
 /// When cancelled.
-pub fn gather_sky(
+pub fn gather_sky<'t>(
     (plan, settings): (&MapsPlan<'_>, &MapsSettings),
     lighting: Option<&Lighting>,
     (receivers, aovs): (&Receivers, &[Aov]),
-    other: &mut Ask<'_>,
+    (other, tracer): (&mut Ask<'_>, &dyn Fn() -> &'t Tracer),
     diagnostics: &Diagnostics,
 ) -> Result<Results, Cancelled> {
+    let lit = lighting.filter(|_| aovs.iter().any(|&aov| needs_sky(aov, lighting)));
+    let sky = lit.map(|lighting| MapsSky::new(lighting, settings));
+    let towards = aovs.contains(&Aov::IlluminationDirection);
     let wanted = Wanted {
-        bent_normal: aovs.contains(&Aov::BentNormal),
+        bent_normal: aovs.contains(&Aov::BentNormal) || (towards && sky.is_none()),
         harmonics: aovs.contains(&Aov::VisibilitySh),
-        ..Wanted::default()
+        environment: sky.as_ref().map(|sky| SkyWanted {
+            sky,
+            with_direction: towards,
+        }),
     };
-    let seen = visibility(plan, receivers, settings, &wanted, diagnostics)?;
+    let mut seen = visibility(plan, receivers, settings, &wanted, diagnostics)?;
+    let (picked, sure): (Vec<usize>, Vec<usize>) =
+        (0..receivers.len()).partition(|&i| seen.ambiguous[i]);
+    if let Some(sky) = &sky {
+        let few = receivers.subset(&sure);
+        let bright = sky.bright_light((plan.scene, tracer()), &few, diagnostics)?;
+        for (&i, bright) in sure.iter().zip(bright) {
+            seen.environment[i] += bright.irradiance;
+            if towards {
+                seen.illumination[i] += bright.direction;
+            }
+        }
+    }
     let mut results = read(aovs, &seen, receivers, lighting);
-    let picked: Vec<usize> = (0..receivers.len())
-        .filter(|&i| seen.ambiguous[i])
-        .collect();
     if picked.is_empty() {
         return Ok(results);
     }
@@ -108,12 +123,18 @@ fn read(
     let buffer = |&aov: &Aov| {
         let data = match aov {
             Aov::Occlusion => seen.visibility.iter().map(|v| 1.0 - v).collect(),
-            Aov::BentNormal => flatten(bent_normals(seen, receivers)),
+            Aov::BentNormal => flatten(unit(&seen.open_direction, receivers)),
+            Aov::IlluminationDirection if seen.illumination.is_empty() => {
+                flatten(unit(&seen.open_direction, receivers))
+            }
+            Aov::IlluminationDirection => flatten(unit(&seen.illumination, receivers)),
             Aov::VisibilitySh => seen.harmonics.iter().flat_map(|sh| sh.0).collect(),
-            Aov::IrradianceEnvironment => {
-                let full = PI * sky(lighting).unwrap_or_default();
+            Aov::IrradianceEnvironment if seen.environment.is_empty() => {
+                let radiance = lighting.and_then(Lighting::uniform_environment);
+                let full = PI * radiance.unwrap_or_default();
                 flatten(seen.visibility.iter().map(|&v| full * v))
             }
+            Aov::IrradianceEnvironment => flatten(seen.environment.iter().copied()),
             _ => seen.visibility.clone(),
         };
         AovBuffer { aov, data }
@@ -123,13 +144,10 @@ fn read(
     }
 }
 
-fn bent_normals<'a>(
-    seen: &'a Visibility,
-    receivers: &'a Receivers,
-) -> impl Iterator<Item = Vec3> + 'a {
-    let open = seen.open_direction.iter();
-    open.zip(&receivers.normal)
-        .map(|(open, &normal)| open.try_normalize().unwrap_or(normal))
+/// Each of `directions` at unit length, the normal where there is none.
+fn unit<'a>(directions: &'a [Vec3], receivers: &'a Receivers) -> impl Iterator<Item = Vec3> + 'a {
+    let pairs = directions.iter().zip(&receivers.normal);
+    pairs.map(|(direction, &normal)| direction.try_normalize().unwrap_or(normal))
 }
 
 fn flatten(values: impl Iterator<Item = Vec3>) -> Vec<f32> {

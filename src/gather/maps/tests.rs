@@ -1,7 +1,10 @@
-use super::crowd::{Block, LANES, Sums};
+use super::crowd::{LANES, Sums};
 use super::*;
 use crate::gather::testing::receivers_at;
-use crate::scene::Scene;
+use crate::lighting::{LightSamples, Lighting};
+use crate::scene::{Light, LightKind, Scene};
+use crate::shading::Shader;
+use crate::trace::Tracer;
 use crate::trace::testing::{Random, mesh, scene};
 use glam::Affine3A;
 
@@ -28,6 +31,16 @@ fn anywhere(random: &mut Random, count: usize) -> Receivers {
     receivers_at(&points)
 }
 
+/// All sums, bit by bit.
+fn bits(sums: &[Sums]) -> Vec<u32> {
+    let rows = |s: &Sums| -> Vec<f32> {
+        let rows = [s.weight, s.open, s.uncertain];
+        let rows = rows.iter().chain(&s.channels).chain(&s.sky);
+        rows.flatten().copied().collect()
+    };
+    sums.iter().flat_map(rows).map(f32::to_bits).collect()
+}
+
 #[test]
 fn sixteen_at_a_time_see_bit_for_bit_what_the_definition_sees_at_any_level() {
     let mut random = Random(7);
@@ -36,10 +49,20 @@ fn sixteen_at_a_time_see_bit_for_bit_what_the_definition_sees_at_any_level() {
     let plan = MapsPlan::new(&scene);
     assert_eq!(plan.flats.len(), 1);
     let settings = MapsSettings::default();
+    let sky = MapsSky::new(
+        &lit(sunny).0,
+        &MapsSettings {
+            directions: 8,
+            ..settings
+        },
+    );
     let wanted = Wanted {
         bent_normal: true,
         harmonics: true,
-        environment: Some(&|d| Vec3::ONE + d),
+        environment: Some(SkyWanted {
+            sky: &sky,
+            with_direction: true,
+        }),
     };
     let stage = Stage::new(&plan, &settings);
     let views: Vec<View> = axes::axes(8)
@@ -57,25 +80,21 @@ fn sixteen_at_a_time_see_bit_for_bit_what_the_definition_sees_at_any_level() {
         flat_margin: Rules::flat_margin(plan.radius, plan.radius),
         weighted_channels: channels.weighted,
     };
-    let bits = |blocks: &[Block], sums: &[Sums]| -> Vec<u32> {
-        assert_eq!(blocks.len(), sums.len());
-        let rows = |s: &Sums| -> Vec<f32> {
-            let rows = [s.weight, s.open, s.uncertain];
-            rows.iter().chain(&s.channels).flatten().copied().collect()
-        };
-        sums.iter().flat_map(rows).map(f32::to_bits).collect()
+    let crowd = || {
+        let rows = (channels.count, sky::row_count(wanted.environment));
+        Crowd::new(&plan, &receivers, rows)
     };
-    let mut plainly = Crowd::new(&plan, &receivers, channels.count);
+    let mut plainly = crowd();
     for view in &views {
         for (block, sums) in plainly.blocks.iter().zip(&mut plainly.sums) {
             (0..LANES).for_each(|lane| plain::look(view, &rules, block, lane, sums));
         }
     }
-    let expected = bits(&plainly.blocks, &plainly.sums);
+    let expected = bits(&plainly.sums);
     for level in [Level::baseline(), Level::new()] {
-        let mut widely = Crowd::new(&plan, &receivers, channels.count);
+        let mut widely = crowd();
         wide::look(level, (&views, &rules), &widely.blocks, &mut widely.sums);
-        assert_eq!(bits(&widely.blocks, &widely.sums), expected, "{level:?}");
+        assert_eq!(bits(&widely.sums), expected, "{level:?}");
     }
     let open: f32 = plainly.sums.iter().flat_map(|s| s.open).sum();
     let weight: f32 = plainly.sums.iter().flat_map(|s| s.weight).sum();
@@ -115,7 +134,7 @@ fn an_empty_scene_is_open_everywhere_and_no_receivers_see_nothing() {
 }
 
 #[test]
-fn an_open_receiver_gets_the_full_irradiance_harmonics_and_bent_normal() {
+fn an_open_receiver_gets_the_full_harmonics_and_bent_normal() {
     let scene = scene(Vec::new(), &[]);
     let plan = MapsPlan::new(&scene);
     let normal = Vec3::new(0.3, 0.8, -0.2).normalize();
@@ -127,16 +146,111 @@ fn an_open_receiver_gets_the_full_irradiance_harmonics_and_bent_normal() {
     let wanted = Wanted {
         bent_normal: true,
         harmonics: true,
-        environment: Some(&|d| Vec3::new(1.0, 1.0 + d.y, 0.0)),
+        ..Wanted::default()
     };
     let quiet = Diagnostics::default();
     let seen = visibility(&plan, &receivers, &settings, &wanted, &quiet).unwrap();
-    // ∫ L cos = π + (2π/3)·n.y for L = 1 + y; mean of ω by cosine = 2/3 n; the 0th coefficient is 2π·Y₀.
-    let environment = seen.environment[0];
-    assert!((environment.x - PI).abs() < 1e-4 && environment.z == 0.0);
-    assert!((environment.y - PI * (1.0 + 2.0 / 3.0 * normal.y)).abs() < 5e-3);
+    // The mean of ω by cosine is 2/3 n; the 0th coefficient is 2π·Y₀.
     assert!((seen.open_direction[0] - 2.0 / 3.0 * normal).length() < 2e-3);
     assert!((seen.harmonics[0].0[0] - 2.0 * PI * 0.282_094_8).abs() < 5e-3);
+}
+
+/// A gradient with a glow, a black quarter, and a sun of 1e4 in one texel; column and row of [`SIZE`].
+fn sunny(x: usize, y: usize) -> Vec3 {
+    let (x, y) = (x as f32 / SIZE.0 as f32, y as f32 / SIZE.1 as f32);
+    if x > 0.75 {
+        return Vec3::ZERO;
+    }
+    let glow = (-60.0 * ((x - 0.3).powi(2) + (y - 0.4).powi(2))).exp();
+    let sun = (x - 0.5).abs().max((y - 0.3).abs()) < 0.5 / SIZE.0 as f32;
+    Vec3::new(0.4, 0.6, 1.0 - y)
+        + glow * Vec3::new(3.0, 2.0, 1.0)
+        + Vec3::splat(if sun { 1e4 } else { 0.0 })
+}
+
+const SIZE: (usize, usize) = (256, 128);
+
+/// Light of a dome with this image on an empty stage, and the irradiance of a normal that all its texels sum to.
+fn lit(image: fn(usize, usize) -> Vec3) -> (Lighting, impl Fn(Vec3) -> Vec3) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("sky.exr");
+    let pixel = |x, y| <(f32, f32, f32)>::from(image(x, y));
+    exr::prelude::write_rgb_file(&path, SIZE.0, SIZE.1, pixel).unwrap();
+    let mut scene = scene(Vec::new(), &[]);
+    scene.lights.push(Light {
+        path: "/dome".into(),
+        kind: LightKind::Dome {
+            texture: Some(path),
+        },
+        radiance: Vec3::ONE,
+        normalize: false,
+        world_from_light: Affine3A::IDENTITY,
+        shaping: None,
+        casts_shadows: true,
+    });
+    let quiet = Diagnostics::default();
+    let shader = Shader::new(&scene, &quiet);
+    let lighting = Lighting::new(&shader, LightSamples::default(), &quiet);
+    let sum = move |normal: Vec3| {
+        let mut sum = glam::DVec3::ZERO;
+        for (x, y) in (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (x, y))) {
+            let longitude = PI - 2.0 * PI * (x as f32 + 0.5) / SIZE.0 as f32;
+            let latitude = |row: f32| PI * (0.5 - row / SIZE.1 as f32);
+            let (up, level) = latitude(y as f32 + 0.5).sin_cos();
+            let direction = Vec3::new(level * longitude.sin(), up, level * longitude.cos());
+            let band = latitude(y as f32).sin() - latitude(y as f32 + 1.0).sin();
+            let weight = direction.dot(normal).max(0.0) * 2.0 * PI / SIZE.0 as f32 * band;
+            sum += (image(x, y) * weight).as_dvec3();
+        }
+        sum.as_vec3()
+    };
+    (lighting, sum)
+}
+
+#[test]
+fn open_receivers_get_the_sum_over_all_cells_and_over_all_texels() {
+    let scene = scene(Vec::new(), &[]);
+    let (plan, tracer, quiet) = (
+        MapsPlan::new(&scene),
+        Tracer::new(&scene),
+        Diagnostics::default(),
+    );
+    let (lighting, texels) = lit(sunny);
+    let mut random = Random(11);
+    let points: Vec<_> = (0..60).map(|_| (Vec3::ZERO, random.direction())).collect();
+    let receivers = receivers_at(&points);
+    let mut before = f32::INFINITY;
+    for directions in [16, 64, 256] {
+        let settings = MapsSettings {
+            directions,
+            ..MapsSettings::default()
+        };
+        let sky = MapsSky::new(&lighting, &settings);
+        let wanted = Wanted {
+            environment: Some(SkyWanted {
+                sky: &sky,
+                with_direction: false,
+            }),
+            ..Wanted::default()
+        };
+        let seen = visibility(&plan, &receivers, &settings, &wanted, &quiet).unwrap();
+        let bright = (sky.bright_light((&scene, &tracer), &receivers, &quiet)).unwrap();
+        let (mut error, mut size) = (0.0, 0.0);
+        for (i, &normal) in receivers.normal.iter().enumerate() {
+            let cells = sky.even_light(normal, &vec![false; directions as usize]);
+            let rounding = (seen.environment[i] - cells).abs().max_element();
+            assert!(rounding < 1e-5 * cells.max_element(), "{rounding} {cells}");
+            let exact = texels(normal);
+            error += (seen.environment[i] + bright[i].irradiance - exact).length_squared();
+            size += exact.length();
+        }
+        let n = points.len() as f32;
+        let error = (error / n).sqrt() / (size / n);
+        assert!(error < 0.5 * before, "{directions}: {error} {before}");
+        before = error;
+    }
+    // The cells of 256 axes are 9 degrees wide; what leans over the horizon is guessed for those across it.
+    assert!(before < 1e-3, "{before}");
 }
 
 #[test]

@@ -7,6 +7,7 @@ use super::look::{
     FOREIGN_SHARE, FOREIGN_UNCERTAIN, LEAST_COSINE, OWN_UNCERTAIN, Rules, SLOPE_SHARE, View,
 };
 use super::raster::{DepthMap, TAG_BITS};
+use super::sky::{self, SEEN, SUNKEN, SkyCell, TOWARDS};
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f32x16, i32x16, mask32x16, u32x16};
 use glam::Vec3;
@@ -83,10 +84,66 @@ fn look_block<S: Simd>(simd: S, (views, rules): (&[View], &Rules), block: &Block
             );
             (load(simd, sum) + factor * value).store_slice(sum);
         }
+        if let Some([along, opposite]) = &view.sky {
+            let open = seen.simd_gt(zero);
+            let ahead = !place.against;
+            add_sky(simd, along, &normal, (ahead, open), &mut sums.sky);
+            add_sky(
+                simd,
+                opposite,
+                &normal,
+                (place.against, open),
+                &mut sums.sky,
+            );
+        }
     }
     weight.store_slice(&mut sums.weight);
     open.store_slice(&mut sums.open);
     uncertain.store_slice(&mut sums.uncertain);
+}
+
+/// Add the light of one cell of the sky to the rows of sixteen receivers: of those that look along it and are `open`,
+/// and of those that look the other way.
+#[inline(always)]
+fn add_sky<S: Simd>(
+    simd: S,
+    cell: &SkyCell,
+    normal: &[f32x16<S>; 3],
+    (looks, open): (mask32x16<S>, mask32x16<S>),
+    rows: &mut [Lanes],
+) {
+    let zero = f32x16::splat(simd, 0.0);
+    let cosine = dot(cell.direction, normal);
+    let top = cosine + cell.half_width;
+    let lit = top.simd_gt(zero);
+    let (seen, sunken) = (lit & looks & open, lit & !looks);
+    let (any_seen, any_sunken) = (seen.any_true(), sunken.any_true());
+    if !any_seen && !any_sunken {
+        return;
+    }
+    let whole = cosine.simd_ge(f32x16::splat(simd, cell.half_width));
+    let mut bright = zero;
+    for (color, weight) in sky::weights().into_iter().enumerate() {
+        let part = top * top * cell.rise[color];
+        let value = whole.select(dot(cell.moments[color], normal).max(zero), part);
+        if any_seen {
+            let row = &mut rows[SEEN + color];
+            (load(simd, row) + seen.select(value, zero)).store_slice(row);
+        }
+        if any_sunken {
+            let row = &mut rows[SUNKEN + color];
+            (load(simd, row) + sunken.select(value, zero)).store_slice(row);
+        }
+        bright = if color == 0 {
+            value * weight
+        } else {
+            bright + value * weight
+        };
+    }
+    for (axis, row) in rows.iter_mut().skip(TOWARDS).enumerate() {
+        let towards = seen.select(bright * cell.direction[axis], zero);
+        (load(simd, row) + towards).store_slice(row);
+    }
 }
 
 /// See [`super::look`]: sixteen receivers in the frame of an axis.

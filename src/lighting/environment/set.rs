@@ -38,6 +38,16 @@ pub(in crate::lighting) struct Arrival {
 }
 
 impl EnvironmentCell {
+    /// No light about the unit `direction`.
+    fn black(direction: Vec3) -> Self {
+        Self {
+            direction,
+            moments: [Vec3::ZERO; 3],
+            flux: Vec3::ZERO,
+            half_width: 0.0,
+        }
+    }
+
     /// Unit, world space, to the centroid of its light.
     pub fn direction(&self) -> Vec3 {
         self.direction
@@ -47,6 +57,16 @@ impl EnvironmentCell {
     /// the horizon of a normal n, its irradiance is exactly Σ n\[axis\] · moments\[axis\].
     pub fn moments(&self) -> [Vec3; 3] {
         self.moments
+    }
+
+    /// ∫ L ω dω along [`Self::direction`], a color, radiance·sr.
+    pub fn flux(&self) -> Vec3 {
+        self.flux
+    }
+
+    /// Half of the cell's width, as a difference of cosines, if its light were spread evenly over it.
+    pub fn half_width(&self) -> f32 {
+        self.half_width
     }
 
     /// Irradiance of a receiver with unit `normal` if nothing blocks the cell, radiance·sr.
@@ -104,18 +124,34 @@ impl EnvironmentSet {
         let wanted = (count as f32 * share) as usize;
         let skies = &place::split_peaks(skies, wanted);
         let importance = place::importance(skies, wanted);
-        let even = count - importance.len();
-        let mut directions = pattern::sphere(even);
-        directions.extend(importance);
-        let sums = sums(skies, &directions);
-        let cells = |part: &[Sums]| part.iter().filter_map(Sums::cell).collect::<Vec<_>>();
-        let (mut all, importance) = (cells(&sums[..even]), cells(&sums[even..]));
-        let even = all.len();
-        all.extend(importance);
-        Self { cells: all, even }
+        let sites = pattern::sphere(count - importance.len());
+        let (even, importance) = divide(skies, &sites, &importance);
+        Self::of(even.into_iter().flatten(), importance)
     }
 
-    /// All cells that hold light; their moments sum to that of the environment.
+    /// The sum of `skies`, the even cells about `sites` (unit, one a cell and in their order, black ones too), and
+    /// about `importance` more where light concentrates.
+    pub(super) fn along(skies: &[Sky], sites: &[Vec3], importance: usize) -> Self {
+        let skies = &place::split_peaks(skies, importance);
+        let (even, importance) = divide(skies, sites, &place::importance(skies, importance));
+        let even = even.into_iter().zip(sites);
+        Self::of(
+            even.map(|(cell, site)| cell.unwrap_or(EnvironmentCell::black(*site))),
+            importance,
+        )
+    }
+
+    fn of(
+        even: impl Iterator<Item = EnvironmentCell>,
+        importance: Vec<Option<EnvironmentCell>>,
+    ) -> Self {
+        let mut cells: Vec<_> = even.collect();
+        let even = cells.len();
+        cells.extend(importance.into_iter().flatten());
+        Self { cells, even }
+    }
+
+    /// All cells; their moments sum to that of the environment.
     pub fn cells(&self) -> &[EnvironmentCell] {
         &self.cells
     }
@@ -129,6 +165,18 @@ impl EnvironmentSet {
     pub fn importance(&self) -> &[EnvironmentCell] {
         &self.cells[self.even..]
     }
+}
+
+/// The cells about `sites` and those about `importance`, in order; `None` = black.
+fn divide(
+    skies: &[Sky],
+    sites: &[Vec3],
+    importance: &[Vec3],
+) -> (Vec<Option<EnvironmentCell>>, Vec<Option<EnvironmentCell>>) {
+    let directions = [sites, importance].concat();
+    let mut cells: Vec<_> = sums(skies, &directions).iter().map(Sums::cell).collect();
+    let importance = cells.split_off(sites.len());
+    (cells, importance)
 }
 
 /// Sums over a cell.
