@@ -9,6 +9,9 @@ mod scenes;
 #[path = "support/dense.rs"]
 mod dense;
 
+#[path = "support/sky.rs"]
+mod sky;
+
 use glam::Vec3;
 use scenes::{SceneBuilder, Side, bowl, plate, receivers_in};
 use std::collections::HashMap;
@@ -114,6 +117,16 @@ impl<'a> Setup<'a> {
             tracer: &self.tracer,
             lighting: Some(lighting),
         }
+    }
+
+    /// Light with this many times the usual cells of the sky.
+    fn sky(&self, times: u32) -> Lighting {
+        let usual = LightSamples::default();
+        let samples = LightSamples {
+            environment: times * usual.environment,
+            ..usual
+        };
+        Lighting::new(&self.shader, samples, &self.diagnostics)
     }
 
     fn rays(&self, rays: u32, turn: f32) -> RaysEngine<'_> {
@@ -367,6 +380,67 @@ fn maps_are_taken_for_dense_meshes_and_keep_what_the_pilot_foretold() {
         );
         assert!(found <= 1.15 * tolerance, "{tolerance}: {found}");
     }
+}
+
+#[test]
+fn maps_see_an_image_of_the_sky_within_the_tolerance_and_beside_visibility() {
+    let scene = dense::on_ground(dense::bumpy_ball(72, Vec3::ZERO), 8);
+    let (scene, _folder) = sky::lit(scene);
+    let receivers = dense::vertices(&scene);
+    let setup = Setup::new(&scene);
+    let plan = MapsPlan::new(&scene);
+    let held_out: Vec<usize> = (5..receivers.len()).step_by(101).collect();
+    let few = receivers.subset(&held_out);
+    let lit = |times| setup.sky(times);
+    let seen = |aov: Aov, light: &Lighting, turn: f32| {
+        let rays = setup.rays(4096, turn);
+        let results = rays.gather(setup.scene(light), &few, &[aov], &setup.diagnostics);
+        values(&results.expect("not cancelled"), aov).expect("asked for")
+    };
+    let image = [lit(16), lit(12)].map(|light| seen(Aov::IrradianceEnvironment, &light, 0.0));
+    let open = [0.3, 0.58].map(|turn| seen(Aov::Visibility, &setup.lighting, turn));
+    let aovs = [Aov::IrradianceEnvironment, Aov::Visibility];
+    for (aovs, tolerance) in [(&aovs[..1], 0.05), (&aovs[..1], 0.01), (&aovs, 0.02)] {
+        let wanted = (aovs, tolerance);
+        let outcome = setup.choose_with(&receivers, wanted, &[], Maps::Always(&plan, None));
+        let Pick::Maps {
+            settings,
+            handed_over,
+            ..
+        } = outcome.pick
+        else {
+            panic!("{:?}", outcome.trials);
+        };
+        let light = lit(outcome.light_scale);
+        let results = maps::gather(
+            setup.scene(&light),
+            (&plan, &settings),
+            &setup.rays(handed_over, 0.0),
+            (&receivers, aovs),
+            &setup.diagnostics,
+        )
+        .expect("not cancelled");
+        let estimates = outcome.check.expect("it was measured").errors(&results);
+        assert_eq!(estimates.len(), aovs.len());
+        for (&aov, [a, b]) in aovs.iter().zip([&image, &open]) {
+            let truth = Truth::of_halves(a, b);
+            let all = values(&results, aov).expect("asked for");
+            let found = statistics(&at(&all, &held_out, receivers.len()), &truth).relative_rmse;
+            let estimate = estimates.iter().find(|estimate| estimate.aov == aov);
+            let estimate = estimate.expect("one an AOV").relative_rmse;
+            // Below a quarter of the tolerance it does not matter how far below.
+            let ratio = found / estimate.max(0.25 * tolerance);
+            assert!(ratio < 1.3, "{aov} {tolerance}: {found} {estimate}");
+            assert!(found <= 1.15 * tolerance, "{aov} {tolerance}: {found}");
+        }
+    }
+}
+
+/// Of `values` of `count` receivers those of `picks`.
+fn at(values: &[f64], picks: &[usize], count: usize) -> Vec<f64> {
+    let n = values.len() / count;
+    let picked = picks.iter().flat_map(|&i| &values[i * n..][..n]);
+    picked.copied().collect()
 }
 
 #[test]

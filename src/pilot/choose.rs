@@ -1,10 +1,12 @@
 //! The choice itself.
 
+mod by_maps;
+
 use super::check::Check;
 use super::clock::Clock;
 use super::error::{mean_magnitude, measured_as, relative, rms_difference, values};
+use super::image::Image;
 use super::light::{self, LightError};
-use super::sky::{self, SkyBid};
 use super::{Candidate, Maps, Method, Outcome, Pick, Pilot, Trial};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::estimate::spread;
@@ -53,11 +55,13 @@ pub fn choose(pilot: &Pilot<'_, '_>, diagnostics: &Diagnostics) -> Result<Outcom
     let start = Clock::start();
     let picks = picks(pilot.receivers.len());
     let few = pilot.receivers.subset(&picks);
-    let light = {
-        let coarse = (pilot.rays)(FIRST_RUNG, 0.0);
-        light::measure(pilot, coarse.as_ref(), &few, diagnostics)?
+    let coarse = (pilot.rays)(FIRST_RUNG, 0.0);
+    let light = light::measure(pilot, coarse.as_ref(), &few, diagnostics)?;
+    let image = match pilot.maps {
+        Maps::Never => None,
+        _ => Image::measure(pilot, coarse.as_ref(), &light, diagnostics)?,
     };
-    let mut bench = Bench::new(pilot, (picks, few), light, diagnostics);
+    let mut bench = Bench::new(pilot, (picks, few), (light, image), diagnostics);
     let mut outcome = bench.choose()?;
     outcome.seconds = start.seconds();
     Ok(outcome)
@@ -78,6 +82,8 @@ struct Bench<'b, 'a, 'c> {
     picks: Vec<usize>,
     half: Receivers,
     light: LightError,
+    /// An environment with an image that maps could see.
+    image: Option<Image>,
     aovs: Vec<Measured>,
     trials: Vec<Trial>,
 }
@@ -127,15 +133,30 @@ impl Ladder {
 /// What is best so far.
 struct Best {
     pick: Pick,
+    /// Without those of an environment with an image, unless it is maps that see it.
     seconds: f64,
     errors: Vec<f64>,
+    /// Error of maps in such an environment.
+    image: Option<f64>,
+}
+
+impl Best {
+    /// Nothing depends on the engine.
+    fn light_alone() -> Self {
+        Self {
+            pick: Pick::Rays,
+            seconds: 0.0,
+            errors: Vec::new(),
+            image: None,
+        }
+    }
 }
 
 impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
     fn new(
         pilot: &'b Pilot<'a, 'c>,
         (picks, few): (Vec<usize>, Receivers),
-        light: LightError,
+        (light, image): (LightError, Option<Image>),
         diagnostics: &'b Diagnostics,
     ) -> Self {
         let half = few.subset(&(0..few.len()).step_by(2).collect::<Vec<_>>());
@@ -147,6 +168,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             picks,
             half,
             light,
+            image,
             aovs: Vec::new(),
             trials: Vec::new(),
         };
@@ -185,8 +207,12 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
     }
 
     fn choose(&mut self) -> Result<Outcome, Cancelled> {
-        if self.aovs.is_empty() || self.few.is_empty() {
-            return Ok(self.outcome(Pick::Rays, None, &[]));
+        if self.few.is_empty() || (self.aovs.is_empty() && self.image.is_none()) {
+            return Ok(self.outcome(&Best::light_alone(), None));
+        }
+        if self.aovs.is_empty() {
+            let maps = self.try_maps(None, 0.0)?;
+            return Ok(self.outcome(&maps.unwrap_or_else(Best::light_alone), None));
         }
         let mut ladder = self.climb()?;
         let judge = self.judge(ladder.most(), ladder.law)?;
@@ -197,6 +223,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             pick: Pick::Rays,
             seconds: self.run_seconds(judge.seconds_per_receiver),
             errors: judge.errors.clone(),
+            image: None,
         };
         let mut too_dear = None;
         for (i, candidate) in self.pilot.candidates.iter().enumerate() {
@@ -208,6 +235,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
                     pick: Pick::Candidate(i),
                     seconds,
                     errors,
+                    image: None,
                 };
             }
             // The next settings of this engine are dearer still.
@@ -215,10 +243,10 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             let is_dear = |trial: &&Trial| trial.error_over_tolerance.is_none();
             too_dear = last.filter(is_dear).map(|trial| trial.engine);
         }
-        if let Some(better) = self.try_maps(&ladder, &judge, best.seconds)? {
+        if let Some(better) = self.try_maps(Some((&ladder, &judge)), best.seconds)? {
             best = better;
         }
-        Ok(self.outcome(best.pick, Some(judge), &best.errors))
+        Ok(self.outcome(&best, Some(judge)))
     }
 
     fn run_seconds(&self, seconds_per_receiver: f64) -> f64 {
@@ -376,117 +404,20 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             .collect()
     }
 
-    /// Maps for the sky and rays for the rest, if that takes less than `best` seconds (or has to be).
-    fn try_maps(
-        &mut self,
-        ladder: &Ladder,
-        judge: &Judge,
-        best: f64,
-    ) -> Result<Option<Best>, Cancelled> {
-        let (plan, max_distance, limit) = match self.pilot.maps {
-            Maps::Never => return Ok(None),
-            Maps::IfCheaper(plan, max_distance) => (plan, max_distance, best),
-            Maps::Always(plan, max_distance) => (plan, max_distance, f64::INFINITY),
-        };
-        let need = |is_sky: bool| {
-            let aovs = self.aovs.iter().zip(&ladder.needed);
-            let asked = aovs.filter(|(one, _)| one.is_sky == is_sky);
-            asked.map(|(_, &rays)| rays).reduce(f64::max)
-        };
-        let Some(sky_rays) = need(true) else {
-            return Ok(None);
-        };
-        let others = need(false);
-        // A ray costs the same for the sky and for light, about.
-        let ray = judge.seconds_per_receiver / judge.rays;
-        let others_seconds = self.run_seconds(ray * others.unwrap_or(0.0));
-        // Rays for light that are enough for the sky too tell it for nothing.
-        let is_free = others.is_some_and(|others| others >= sky_rays);
-        if limit.is_finite() && (others_seconds >= limit || is_free) {
-            return Ok(None);
-        }
-        let mut trials = std::mem::take(&mut self.trials);
-        let question = self.sky(judge, ray * sky_rays);
-        let start = sky::Start {
-            plan,
-            max_distance,
-            directions: sky_rays,
-            limit: limit - others_seconds,
-        };
-        let bid = sky::search(&question, &start, &mut trials, self.diagnostics)?;
-        self.trials = trials;
-        Ok(bid.map(|bid| self.with_maps(&bid, (sky_rays, others), judge)))
-    }
-
-    /// What maps are asked at the pilot's receivers.
-    fn sky(&self, judge: &Judge, ray_seconds: f64) -> sky::Question<'_> {
-        let aovs = self.aovs.iter().zip(&judge.errors);
-        let mut skies = aovs.filter(|(one, _)| one.is_sky);
-        let (first, error) = skies.next().expect("an AOV asks for the sky");
-        let truth = values(&judge.reference, first.aov).unwrap_or_default();
-        // Irradiance of a uniform sky is visibility, but for a factor that relative errors do not see.
-        let components = (truth.len() / self.few.len().max(1)).max(1);
-        let full = if first.aov == Aov::Visibility {
-            1.0
-        } else {
-            self.full_sky()
-        };
-        let visibility = |value: &[f64]| value.iter().sum::<f64>() / full;
-        let truth: Vec<f64> = truth.chunks(components).map(visibility).collect();
-        sky::Question {
-            scene: self.scene,
-            few: &self.few,
-            total: self.pilot.receivers.len(),
-            mean: mean_magnitude(&truth),
-            truth,
-            truth_error: judge.share.sqrt() * error,
-            allowed: AIM * first.allowed,
-            ray_seconds,
-        }
-    }
-
-    /// Sum over the channels of the irradiance of an open receiver.
-    fn full_sky(&self) -> f64 {
-        let sky = self
-            .scene
-            .lighting
-            .and_then(|light| light.uniform_environment());
-        let radiance = sky.map_or(0.0, |sky| f64::from(sky.element_sum()));
-        std::f64::consts::PI * radiance.max(f64::MIN_POSITIVE)
-    }
-
-    fn with_maps(
-        &self,
-        bid: &SkyBid,
-        (sky_rays, others): (f64, Option<f64>),
-        judge: &Judge,
-    ) -> Best {
-        let power = -LAW;
-        let errors = self.aovs.iter().zip(&judge.errors).map(|(one, &error)| {
-            if one.is_sky {
-                bid.error
-            } else {
-                error * (others.unwrap_or(judge.rays) / judge.rays).powf(power)
-            }
-        });
-        Best {
-            pick: Pick::Maps {
-                settings: bid.settings,
-                handed_over: round(sky_rays),
-                others: others.map(round),
-            },
-            seconds: bid.seconds,
-            errors: errors.collect(),
-        }
-    }
-
-    fn outcome(&mut self, pick: Pick, judge: Option<Judge>, engine: &[f64]) -> Outcome {
+    fn outcome(&mut self, best: &Best, judge: Option<Judge>) -> Outcome {
         let mut errors: Vec<ErrorEstimate> = Vec::new();
         for (i, &aov) in self.pilot.aovs.iter().enumerate() {
             let measured = measured_as(aov);
             let place = self.aovs.iter().position(|one| one.aov == measured);
-            let engine = place.and_then(|k| engine.get(k)).copied();
-            let fixed = self.fixed(i);
+            let engine = place.and_then(|k| best.errors.get(k)).copied();
+            let sky = best
+                .image
+                .filter(|_| measured == Aov::IrradianceEnvironment);
+            // Maps' error is measured with that of the light's samples.
+            let (engine, fixed) = match sky {
+                Some(sky) => (Some(sky), 0.0),
+                None => (engine, self.fixed(i)),
+            };
             let known = engine.is_some() || fixed > 0.0;
             if known && errors.iter().all(|error| error.aov != measured) {
                 errors.push(ErrorEstimate {
@@ -497,31 +428,43 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             }
         }
         Outcome {
-            pick,
+            pick: best.pick,
             rays: judge.as_ref().map(|judge| round(judge.rays)),
             light_scale: self.light.scale,
             errors,
             trials: std::mem::take(&mut self.trials),
             receivers: self.few.len(),
             seconds: 0.0,
-            check: judge.map(|judge| self.check(judge)),
+            check: self.check(judge),
         }
     }
 
-    fn check(&self, judge: Judge) -> Check {
-        let known = self.aovs.iter().zip(&judge.errors);
-        Check {
-            picks: self.picks.clone(),
-            aovs: known
-                .map(|(one, error)| super::check::Known {
-                    aov: one.aov,
-                    mean: one.mean,
-                    fixed: one.fixed,
-                    reference: judge.share.sqrt() * error,
-                })
-                .collect(),
-            truth: judge.reference,
+    fn check(&self, judge: Option<Judge>) -> Option<Check> {
+        let of = |(one, error): (&Measured, &f64), share: f64| super::check::Known {
+            aov: one.aov,
+            mean: one.mean,
+            fixed: one.fixed,
+            reference: share.sqrt() * error,
+        };
+        let image = self.image.as_ref().map(Image::known);
+        if judge.is_none() && image.is_none() {
+            return None;
         }
+        let (mut aovs, mut truth) = (Vec::new(), Results::default());
+        if let Some(judge) = judge {
+            let known = self.aovs.iter().zip(&judge.errors);
+            aovs.extend(known.map(|one| of(one, judge.share)));
+            truth = judge.reference;
+        }
+        if let Some((known, values)) = image {
+            aovs.push(known);
+            truth.buffers.push(values);
+        }
+        Some(Check {
+            picks: self.picks.clone(),
+            aovs,
+            truth,
+        })
     }
 }
 

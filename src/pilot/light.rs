@@ -31,6 +31,8 @@ pub(super) struct LightError {
     pub(super) relative: Vec<f64>,
     /// Mean magnitude of each AOV.
     pub(super) means: Vec<f64>,
+    /// The light with four times the samples, if it was looked at, and the relative error of each AOV there.
+    pub(super) finer: Option<(Results, Vec<f64>)>,
 }
 
 impl<'a> LightScenes<'a> {
@@ -67,8 +69,11 @@ pub(super) fn measure(
     diagnostics: &Diagnostics,
 ) -> Result<LightError, Cancelled> {
     let aovs = pilot.aovs;
+    let mut looked_at = aovs.to_vec();
+    let measured = aovs.iter().map(|&aov| measured_as(aov));
+    looked_at.extend(measured.filter(|aov| aov.needs_environment() && !aovs.contains(aov)));
     let look = |scene: GatherScene<'_>| -> Result<Results, Cancelled> {
-        engine.gather(scene, receivers, aovs, diagnostics)
+        engine.gather(scene, receivers, &looked_at, diagnostics)
     };
     let run = look(pilot.scenes.run)?;
     let columns: Vec<Vec<f64>> = aovs
@@ -81,10 +86,10 @@ pub(super) fn measure(
         .collect();
     let mut errors = vec![0.0; aovs.len()];
     let lit = aovs.iter().any(|&aov| is_lit(aov));
-    if let Some(finer) = pilot.scenes.finer.filter(|_| lit) {
-        let finer = look(finer)?;
+    let finer = pilot.scenes.finer.filter(|_| lit).map(look).transpose()?;
+    if let Some(finer) = &finer {
         for (i, &aov) in aovs.iter().enumerate() {
-            if let Some(better) = values(&finer, measured_as(aov)) {
+            if let Some(better) = values(finer, measured_as(aov)) {
                 let both = rms_difference(&columns[i], &better);
                 let own = both / (1.0 + RaysSettings::REFERENCE_ERROR_SHARE).sqrt();
                 errors[i] = relative(own, means[i]);
@@ -93,12 +98,15 @@ pub(super) fn measure(
     }
     let worst = errors.iter().copied().fold(0.0, f64::max);
     let scale = scale(worst / (LIGHT_SHARE * pilot.tolerance));
+    let reference = RaysSettings::REFERENCE_ERROR_SHARE.sqrt();
+    let finer = finer.map(|finer| (finer, errors.iter().map(|own| reference * own).collect()));
     let left = f64::from(scale).powf(-super::choose::LAW);
     errors.iter_mut().for_each(|error| *error *= left);
     Ok(LightError {
         scale,
         relative: errors,
         means,
+        finer,
     })
 }
 

@@ -9,6 +9,7 @@ mod check;
 mod choose;
 pub mod clock;
 pub mod error;
+mod image;
 mod light;
 mod question;
 mod sky;

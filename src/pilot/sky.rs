@@ -10,7 +10,7 @@ use super::error::{relative, rms_difference};
 use super::{Trial, choose};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::GatherScene;
-use crate::gather::maps::{self, MapsPlan, MapsSettings, Wanted};
+use crate::gather::maps::{self, MapsPlan, MapsSettings, MapsSky, SkyWanted, Wanted};
 use crate::receivers::Receivers;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -50,19 +50,45 @@ const RIM: f32 = 1e-4;
 /// What is asked for.
 #[derive(Debug)]
 pub(super) struct Question<'a> {
+    /// With the lights of the run.
     pub(super) scene: GatherScene<'a>,
     /// Receivers to measure at.
     pub(super) few: &'a Receivers,
     /// Receivers of the run.
     pub(super) total: usize,
-    /// Visibility of each of `few`, its mean and its relative error.
+    /// At least one thing.
+    pub(super) asked: Vec<Asked>,
+    /// Processor seconds that another engine needs for a receiver handed over.
+    pub(super) handed_over_seconds: f64,
+    /// Processor seconds of the run that an image takes besides maps: its division, and rays to its bright areas.
+    pub(super) image_seconds: f64,
+}
+
+/// One of the things asked for.
+#[derive(Debug, Clone)]
+pub(super) struct Asked {
+    /// Irradiance from an environment with an image; otherwise visibility.
+    pub(super) is_image: bool,
+    /// Its values at the few receivers, their mean and their relative error.
     pub(super) truth: Vec<f64>,
     pub(super) mean: f64,
     pub(super) truth_error: f64,
     /// Relative error to stay below.
     pub(super) allowed: f64,
-    /// Processor seconds that another engine needs for a receiver handed over.
-    pub(super) ray_seconds: f64,
+}
+
+impl Question<'_> {
+    /// The sky for maps of these settings, if an image is asked for.
+    fn sky(&self, settings: &MapsSettings) -> Option<MapsSky> {
+        let is_image = self.asked.iter().any(|asked| asked.is_image);
+        let lighting = self.scene.lighting.filter(|_| is_image)?;
+        Some(MapsSky::new(lighting, settings))
+    }
+
+    /// Expected processor seconds of the run but for receivers handed over.
+    fn expected(&self, plan: &MapsPlan<'_>, settings: &MapsSettings) -> f64 {
+        maps::seconds(plan, self.total, settings) + self.image_seconds
+    }
 }
 
 /// Where to start.
@@ -76,15 +102,17 @@ pub(super) struct Start<'a> {
 }
 
 /// Settings that meet the tolerance.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct SkyBid {
     pub(super) settings: MapsSettings,
     /// Expected processor seconds.
     pub(super) seconds: f64,
-    /// Expected relative error.
-    pub(super) error: f64,
-    /// The part of it that no other set of directions has.
-    own_error: f64,
+    /// Expected relative error of each thing asked for.
+    pub(super) errors: Vec<f64>,
+    /// The largest of them over what is allowed.
+    ratio: f64,
+    /// The same of the part that no other set of directions has.
+    own_ratio: f64,
 }
 
 /// The cheapest bid below the limit, if there is one.
@@ -95,61 +123,77 @@ pub(super) fn search(
     diagnostics: &Diagnostics,
 ) -> Result<Option<SkyBid>, Cancelled> {
     let plan = start.plan;
+    // Half: the expectation is right within a factor of two.
+    let is_too_dear =
+        |settings: &MapsSettings| 0.5 * question.expected(plan, settings) > start.limit;
+    if is_too_dear(&start.settings(DETAILS[0], DIRECTIONS.0)) {
+        return Ok(None);
+    }
     let guess = start.directions.clamp(DIRECTIONS.0, DIRECTIONS.1);
-    let spread = Spread::measure(question, guess, start.max_distance);
+    let spread = Spread::settled(question, guess, start, diagnostics)?;
     let tried = (TRIAL_SHARE * guess)
         .clamp(TRIAL_DIRECTIONS.0, TRIAL_DIRECTIONS.1)
         .round();
-    let truth = along_axes(question, round(tried), start.max_distance);
+    let sky = question.sky(&start.settings(DETAILS[0], tried));
+    let truth = along_axes(question, round(tried), start.max_distance, sky.as_ref());
     let mut best: Option<SkyBid> = None;
     for detail in DETAILS {
-        let settings = |directions: f64| MapsSettings {
-            directions: round(directions),
-            pixel: detail.0,
-            cell: detail.1,
-            bias: detail.2,
-            max_distance: start.max_distance,
-            ..MapsSettings::default()
-        };
-        let expected = |settings: &MapsSettings| maps::seconds(plan, question.total, settings);
-        let least = expected(&settings(spread.needed(0.0, question)));
-        // Half: the expectation is right within a factor of two. That of one detail over another is better.
-        let holds = best.filter(|best| best.holds(question, start.limit));
-        let is_dearer = |best: SkyBid| least >= expected(&best.settings);
-        if 0.5 * least > start.limit || holds.is_some_and(is_dearer) {
+        let settings = |directions: f64| start.settings(detail, directions);
+        let least = settings(spread.needed(&[], question));
+        // The expectation of one detail over another is better.
+        let holds = best.as_ref().filter(|best| best.holds(start.limit));
+        let expected = |settings: &MapsSettings| question.expected(plan, settings);
+        let is_dearer = |best: &SkyBid| expected(&least) >= expected(&best.settings);
+        if is_too_dear(&least) || holds.is_some_and(is_dearer) {
             continue;
         }
-        let attempt = Attempt::make(question, plan, (settings(tried), &truth), diagnostics)?;
+        let trial = (settings(tried), sky.as_ref(), &truth[..]);
+        let attempt = Attempt::make(question, plan, trial, diagnostics)?;
         let bid = attempt.bid(question, plan, &spread, &settings);
         trials.push(record(&bid, question));
-        if bid.beats(best.as_ref(), (question, start.limit)) {
+        if bid.beats(best.as_ref(), start.limit) {
             best = Some(bid);
         }
     }
     let serves = |best: &SkyBid| {
-        start.limit.is_infinite()
-            || (best.holds(question, start.limit) && best.seconds < start.limit)
+        start.limit.is_infinite() || (best.holds(start.limit) && best.seconds < start.limit)
     };
     Ok(best.filter(serves))
 }
 
-impl SkyBid {
-    /// True if it will meet what is allowed, or is likely to and cheap enough beside `limit` seconds to find out.
-    fn holds(&self, question: &Question<'_>, limit: f64) -> bool {
-        let is_sure = self.own_error <= OWN_SHARE * question.allowed;
-        let is_cheap = limit.is_finite() && self.seconds <= TRY_SHARE * limit;
-        self.error <= question.allowed && (is_sure || is_cheap)
-    }
-
-    fn beats(&self, best: Option<&Self>, (question, limit): (&Question<'_>, f64)) -> bool {
-        match best {
-            None => true,
-            Some(best) if best.holds(question, limit) => {
-                self.holds(question, limit) && self.seconds < best.seconds
-            }
-            Some(best) => self.holds(question, limit) || self.error < best.error,
+impl Start<'_> {
+    fn settings(&self, (pixel, cell, bias): (f32, f32, f32), directions: f64) -> MapsSettings {
+        MapsSettings {
+            directions: round(directions),
+            pixel,
+            cell,
+            bias,
+            max_distance: self.max_distance,
+            ..MapsSettings::default()
         }
     }
+}
+
+impl SkyBid {
+    /// True if it will meet what is allowed, or is likely to and cheap enough beside `limit` seconds to find out.
+    fn holds(&self, limit: f64) -> bool {
+        let is_cheap = limit.is_finite() && self.seconds <= TRY_SHARE * limit;
+        self.ratio <= 1.0 && (self.own_ratio <= OWN_SHARE || is_cheap)
+    }
+
+    fn beats(&self, best: Option<&Self>, limit: f64) -> bool {
+        match best {
+            None => true,
+            Some(best) if best.holds(limit) => self.holds(limit) && self.seconds < best.seconds,
+            Some(best) => self.holds(limit) || self.ratio < best.ratio,
+        }
+    }
+}
+
+/// The largest of `errors` over what is allowed.
+fn worst(errors: &[f64], question: &Question<'_>) -> f64 {
+    let ratios = errors.iter().zip(&question.asked);
+    (ratios.map(|(error, asked)| error / asked.allowed)).fold(0.0, f64::max)
 }
 
 fn record(bid: &SkyBid, question: &Question<'_>) -> Trial {
@@ -157,7 +201,7 @@ fn record(bid: &SkyBid, question: &Question<'_>) -> Trial {
         engine: "maps",
         knobs: knobs(&bid.settings),
         seconds_per_receiver: bid.seconds / question.total.max(1) as f64,
-        error_over_tolerance: Some(choose::AIM * bid.error / question.allowed),
+        error_over_tolerance: Some(choose::AIM * bid.ratio),
     }
 }
 
@@ -170,42 +214,103 @@ pub fn knobs(settings: &MapsSettings) -> super::Knobs {
     ]
 }
 
-/// Relative error of the set of directions.
+/// Relative error of the set of directions, of each thing asked for.
 struct Spread {
-    error: f64,
+    errors: Vec<f64>,
     directions: f64,
 }
 
+/// Measurements at most until the number of directions is that which they ask for.
+const MOST_LOOKS: u32 = 3;
+
+/// Numbers of directions over one another between which the law of their error is relied on for an image, part of whose
+/// error, that of its bright areas, falls with nothing.
+const NEAR: (f64, f64) = (0.7, 1.4);
+
 impl Spread {
-    fn measure(question: &Question<'_>, directions: f64, max_distance: Option<f32>) -> Self {
-        let found = along_axes(question, round(directions), max_distance);
-        let both = relative(rms_difference(&found, &question.truth), question.mean);
-        let own = both * both - question.truth_error * question.truth_error;
-        Self {
-            // Less than a quarter of what was measured is not told by subtraction.
-            error: own.max(both * both / 16.0).sqrt(),
-            directions,
+    /// Measured at about as many directions as are needed, where an image is asked for.
+    fn settled(
+        question: &Question<'_>,
+        guess: f64,
+        start: &Start<'_>,
+        diagnostics: &Diagnostics,
+    ) -> Result<Self, Cancelled> {
+        let is_image = question.asked.iter().any(|asked| asked.is_image);
+        let mut directions = guess;
+        let mut looks = 1;
+        loop {
+            let spread = Self::measure(question, directions, start, diagnostics)?;
+            let needed = spread.needed(&[], question);
+            let is_near = (NEAR.0..NEAR.1).contains(&(needed / directions));
+            if !is_image || is_near || looks == MOST_LOOKS {
+                return Ok(spread);
+            }
+            directions = needed;
+            looks += 1;
         }
     }
 
-    fn at(&self, directions: f64) -> f64 {
-        self.error * (directions / self.directions).powf(-choose::LAW)
+    fn measure(
+        question: &Question<'_>,
+        directions: f64,
+        start: &Start<'_>,
+        diagnostics: &Diagnostics,
+    ) -> Result<Self, Cancelled> {
+        let sky = question.sky(&start.settings(DETAILS[0], directions));
+        let mut found = along_axes(
+            question,
+            round(directions),
+            start.max_distance,
+            sky.as_ref(),
+        );
+        if let Some(sky) = &sky {
+            let scene = (question.scene.shader.scene(), question.scene.tracer);
+            let bright = sky.bright_light(scene, question.few, diagnostics)?;
+            let images = found.iter_mut().zip(&question.asked);
+            for (values, _) in images.filter(|(_, asked)| asked.is_image) {
+                let bright = bright.iter().flat_map(|light| light.irradiance.to_array());
+                (values.iter_mut().zip(bright)).for_each(|(sum, x)| *sum += f64::from(x));
+            }
+        }
+        let error = |(found, asked): (&Vec<f64>, &Asked)| {
+            let both = relative(rms_difference(found, &asked.truth), asked.mean);
+            let own = both * both - asked.truth_error * asked.truth_error;
+            // Less than a quarter of what was measured is not told by subtraction.
+            own.max(both * both / 16.0).sqrt()
+        };
+        Ok(Self {
+            errors: found.iter().zip(&question.asked).map(error).collect(),
+            directions,
+        })
     }
 
-    /// Directions that leave room for an error of maps of `own`, but not more than make theirs small beside it.
-    fn needed(&self, own: f64, question: &Question<'_>) -> f64 {
-        let left = question.allowed.powi(2) - own.powi(2);
-        let room = left.max(0.25 * question.allowed.powi(2)).sqrt();
-        (self.directions * (self.error / room).powf(1.0 / choose::LAW))
-            .clamp(DIRECTIONS.0, DIRECTIONS.1)
+    fn at(&self, directions: f64) -> impl Iterator<Item = f64> {
+        let left = (directions / self.directions).powf(-choose::LAW);
+        self.errors.iter().map(move |error| error * left)
+    }
+
+    /// Directions that leave room for errors of maps of `own` (none: 0), but not more than make theirs small beside
+    /// them.
+    fn needed(&self, own: &[f64], question: &Question<'_>) -> f64 {
+        let one = |(k, (error, asked)): (usize, (&f64, &Asked))| {
+            let own = own.get(k).copied().unwrap_or(0.0);
+            let left = asked.allowed.powi(2) - own.powi(2);
+            let room = left.max(0.25 * asked.allowed.powi(2)).sqrt();
+            self.directions * (error / room).powf(1.0 / choose::LAW)
+        };
+        let asked = self.errors.iter().zip(&question.asked).enumerate();
+        asked
+            .map(one)
+            .fold(DIRECTIONS.0, f64::max)
+            .min(DIRECTIONS.1)
     }
 }
 
 /// Maps of few directions.
 struct Attempt {
     settings: MapsSettings,
-    /// Relative error against rays along the same directions.
-    error: f64,
+    /// Relative errors against rays along the same directions.
+    errors: Vec<f64>,
     seconds: f64,
     /// Share of receivers handed over.
     ambiguous: f64,
@@ -215,29 +320,46 @@ impl Attempt {
     fn make(
         question: &Question<'_>,
         plan: &MapsPlan<'_>,
-        (settings, truth): (MapsSettings, &[f64]),
+        (settings, sky, truth): (MapsSettings, Option<&MapsSky>, &[Vec<f64>]),
         diagnostics: &Diagnostics,
     ) -> Result<Self, Cancelled> {
         let clock = Clock::start();
-        let wanted = Wanted::default();
+        let wanted = Wanted {
+            environment: sky.map(|sky| SkyWanted {
+                sky,
+                with_direction: false,
+            }),
+            ..Wanted::default()
+        };
         let seen = maps::visibility(plan, question.few, &settings, &wanted, diagnostics)?;
         let seconds = clock.seconds();
-        let sure = seen.visibility.iter().zip(&seen.ambiguous).zip(truth);
-        let found: Vec<f64> = sure
-            .map(|((&v, &ambiguous), &t)| if ambiguous { t } else { f64::from(v) })
-            .collect();
+        let error = |(asked, truth): (&Asked, &Vec<f64>)| {
+            let mut found: Vec<f64> = if asked.is_image {
+                let light = seen.environment.iter().flat_map(|light| light.to_array());
+                light.map(f64::from).collect()
+            } else {
+                seen.visibility.iter().copied().map(f64::from).collect()
+            };
+            let components = (truth.len() / question.few.len().max(1)).max(1);
+            let pairs = found.chunks_mut(components).zip(truth.chunks(components));
+            for ((found, truth), _) in pairs.zip(&seen.ambiguous).filter(|(_, yes)| **yes) {
+                found.copy_from_slice(truth);
+            }
+            relative(rms_difference(&found, truth), asked.mean)
+        };
         let ambiguous = seen.ambiguous.iter().filter(|&&yes| yes).count();
         Ok(Self {
             settings,
-            error: relative(rms_difference(&found, truth), question.mean),
+            errors: question.asked.iter().zip(truth).map(error).collect(),
             seconds,
             ambiguous: ambiguous as f64 / question.few.len().max(1) as f64,
         })
     }
 
-    fn own_error(&self, directions: f64) -> f64 {
+    fn own_errors(&self, directions: f64) -> Vec<f64> {
         let ratio = directions / f64::from(self.settings.directions);
-        self.error * ratio.max(1.0).powf(-MAPS_LAW)
+        let left = ratio.max(1.0).powf(-MAPS_LAW);
+        self.errors.iter().map(|error| error * left).collect()
     }
 
     /// As many directions as the tolerance needs, and what they cost.
@@ -248,18 +370,22 @@ impl Attempt {
         spread: &Spread,
         settings: &dyn Fn(f64) -> MapsSettings,
     ) -> SkyBid {
-        let least = spread.needed(0.0, question);
-        let directions = spread.needed(self.own_error(least), question);
-        let own_error = self.own_error(directions);
+        let least = spread.needed(&[], question);
+        let directions = spread.needed(&self.own_errors(least), question);
+        let own_errors = self.own_errors(directions);
         let chosen = settings(directions);
-        let handed_over = self.ambiguous * question.total as f64 * question.ray_seconds;
+        let handed_over = self.ambiguous * question.total as f64 * question.handed_over_seconds;
+        let both = spread.at(directions).zip(&own_errors);
+        let errors: Vec<f64> = both.map(|(spread, own)| spread.hypot(*own)).collect();
         SkyBid {
             settings: chosen,
             seconds: self.shared_seconds(plan, &chosen)
                 + looks(plan, question.total, &chosen)
+                + question.image_seconds
                 + handed_over,
-            error: spread.at(directions).hypot(own_error),
-            own_error,
+            ratio: worst(&errors, question),
+            own_ratio: worst(&own_errors, question),
+            errors,
         }
     }
 
@@ -276,27 +402,48 @@ fn looks(plan: &MapsPlan<'_>, receivers: usize, settings: &MapsSettings) -> f64 
     maps::seconds(plan, receivers, settings) - maps::seconds(plan, 0, settings)
 }
 
-/// Visibility of the few receivers by rays along the axes of `count` maps.
-fn along_axes(question: &Question<'_>, count: u32, max_distance: Option<f32>) -> Vec<f64> {
+/// What the few receivers see by rays along the axes of `count` maps, for each thing asked for: of an image what comes
+/// from the even part of `sky`.
+fn along_axes(
+    question: &Question<'_>,
+    count: u32,
+    max_distance: Option<f32>,
+    sky: Option<&MapsSky>,
+) -> Vec<Vec<f64>> {
     let axes: Vec<Vec3> = maps::directions(count).collect();
     let reach = max_distance.unwrap_or(f32::INFINITY);
-    (0..question.few.len())
+    let few = question.few;
+    let seen: Vec<(f64, Vec3)> = (0..few.len())
         .into_par_iter()
         .map(|i| {
             let (mut open, mut all) = (0.0, 0.0);
             let stand = Stand::of(question, i);
+            let mut covered = Vec::with_capacity(axes.len());
             for axis in &axes {
-                let height = axis.dot(question.few.normal[i]);
+                let height = axis.dot(few.normal[i]);
                 let direction = if height < 0.0 { -axis } else { *axis };
                 let weight = f64::from(height.abs());
                 all += weight;
-                if !stand.is_covered(question, direction, reach) {
-                    open += weight;
-                }
+                covered.push(stand.is_covered(question, direction, reach));
+                open += if covered.last() == Some(&true) {
+                    0.0
+                } else {
+                    weight
+                };
             }
-            if all > 0.0 { open / all } else { 0.0 }
+            let light = sky.map_or(Vec3::ZERO, |sky| sky.even_light(few.normal[i], &covered));
+            (if all > 0.0 { open / all } else { 0.0 }, light)
         })
-        .collect()
+        .collect();
+    let values = |asked: &Asked| {
+        if asked.is_image {
+            let light = seen.iter().flat_map(|(_, light)| light.to_array());
+            light.map(f64::from).collect()
+        } else {
+            seen.iter().map(|(open, _)| *open).collect()
+        }
+    };
+    question.asked.iter().map(values).collect()
 }
 
 /// Where a receiver's rays start and the plane they do not cross.
