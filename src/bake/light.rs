@@ -29,8 +29,8 @@ pub(super) struct Look<'a> {
     pub(super) lights: &'a (dyn Fn(&ShadePoint) -> Vec3 + Sync),
     /// The same where nothing casts a penumbra; in penumbrae that of one place on the source, another for every number.
     pub(super) glance: &'a (dyn Fn(&ShadePoint, usize) -> Vec3 + Sync),
-    /// Irradiance of wide sources.
-    pub(super) wide: &'a (dyn Fn(&ShadePoint) -> Vec3 + Sync),
+    /// Irradiance of wide sources at each of some points, near each other for speed.
+    pub(super) wide: &'a (dyn Fn(&[ShadePoint]) -> Vec<Vec3> + Sync),
 }
 
 /// One side of a prim, as far as points on it are concerned.

@@ -71,7 +71,7 @@ pub fn bake(
         surface: &|point| shader.surface(point),
         lights: &|point| lighting.lights(tracer, point),
         glance: &|point, number| lighting.glance(tracer, point, number),
-        wide: &|point| lighting.wide(shader, tracer, point),
+        wide: &|points| lighting.wide(shader, tracer, points),
     };
     bake_with(shader.scene(), &look, settings, diagnostics)
 }
@@ -142,9 +142,15 @@ fn fill(
         back: block.back,
     };
     let table = dice.prims()[block.prim.index()].table();
+    let mut waiting = Waiting::default();
     let mut next = 0;
     let mut put = |cell: &Shaded| {
         columns.put(look, &side, cell, next);
+        // Black surfaces reflect nothing, whatever falls on them.
+        if cell.surface.albedo != Vec3::ZERO {
+            waiting.push(next, cell.point);
+            waiting.light_full(look, &mut columns);
+        }
         next += 1;
     };
     block.for_each_row(table, |t, _, part, row| {
@@ -160,6 +166,40 @@ fn fill(
     let materials = &scene.prims[block.prim.index()].materials;
     for cell in block.clusters() {
         put(&shade_cluster(look, &side, table.members(cell), materials));
+    }
+    waiting.light(look, &mut columns);
+}
+
+/// Cells that wait for the light of [`Look::wide`], which is found faster for many at a time.
+#[derive(Default)]
+struct Waiting {
+    rows: Vec<usize>,
+    points: Vec<ShadePoint>,
+}
+
+impl Waiting {
+    /// As many as look along one direction together.
+    const FULL: usize = 64;
+
+    fn push(&mut self, row: usize, point: ShadePoint) {
+        self.rows.push(row);
+        self.points.push(point);
+    }
+
+    fn light_full(&mut self, look: &Look<'_>, columns: &mut BlockColumns<'_>) {
+        if self.rows.len() == Self::FULL {
+            self.light(look, columns);
+        }
+    }
+
+    /// Light all that wait.
+    fn light(&mut self, look: &Look<'_>, columns: &mut BlockColumns<'_>) {
+        let light = (look.wide)(&self.points);
+        for (&row, light) in self.rows.iter().zip(light) {
+            columns.radiosity[row] += columns.albedo[row] * light;
+        }
+        self.rows.clear();
+        self.points.clear();
     }
 }
 
@@ -236,7 +276,7 @@ fn shade_cluster(
 }
 
 impl BlockColumns<'_> {
-    /// Light `cell` and write it to row `i`.
+    /// Write `cell` to row `i`, with its light but that of [`Look::wide`].
     fn put(&mut self, look: &Look<'_>, side: &Side<'_>, cell: &Shaded, i: usize) {
         self.position[i] = cell.point.position;
         self.normal[i] = cell.normal;
@@ -250,9 +290,7 @@ impl BlockColumns<'_> {
         };
         self.prim[i] = side.prim.0;
         self.radiosity[i] = self.emission[i];
-        // Black surfaces reflect nothing, whatever falls on them.
         if cell.surface.albedo != Vec3::ZERO {
-            self.radiosity[i] += cell.surface.albedo * (look.wide)(&cell.point);
             self.lights[i] = (look.glance)(&cell.point, cell.number);
         }
     }

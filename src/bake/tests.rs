@@ -114,7 +114,7 @@ fn bake_lit(
         surface: &|_| GRAY,
         lights,
         glance: &|point, _| lights(point),
-        wide: &|_| Vec3::ZERO,
+        wide: &|points| vec![Vec3::ZERO; points.len()],
     };
     bake_with(scene, &look, &settings, &Diagnostics::default()).unwrap()
 }
@@ -324,7 +324,7 @@ fn a_cancelled_bake_ends() {
         surface: &|_| GRAY,
         lights: &|_| Vec3::ZERO,
         glance: &|_, _| Vec3::ZERO,
-        wide: &|_| Vec3::ZERO,
+        wide: &|points| vec![Vec3::ZERO; points.len()],
     };
     let scene = scene(vec![(floor(1), Affine3A::IDENTITY)]);
     assert!(bake_with(&scene, &look, &BakeSettings::default(), &diagnostics).is_err());
@@ -539,7 +539,12 @@ fn clusters_reflect_and_emit_what_their_triangles_do() {
             surface: &surface,
             lights: &lights,
             glance: &|point, _| lights(point),
-            wide: &|p| Vec3::splat(0.5 + 0.5 * p.normal.x),
+            wide: &|points| {
+                points
+                    .iter()
+                    .map(|p| Vec3::splat(0.5 + 0.5 * p.normal.x))
+                    .collect()
+            },
         };
         bake_with(&scene, &look, &settings, &Diagnostics::default()).unwrap()
     };

@@ -328,13 +328,24 @@ impl SurfelLighting<'_> {
             .sum()
     }
 
-    /// Irradiance from dome lights and emissive surfaces.
-    pub fn wide(&self, shader: &Shader<'_>, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        if !self.0.has_environment() && !self.0.has_emitters() {
-            return Vec3::ZERO;
+    /// Irradiance from dome lights and emissive surfaces at each of `points`; faster where neighbors follow each other.
+    pub fn wide(&self, shader: &Shader<'_>, tracer: &Tracer, points: &[ShadePoint]) -> Vec<Vec3> {
+        let detail = &self.0.coarse;
+        let mut light = if self.0.has_environment() {
+            let environment = &self.0.environment;
+            let sky = in_blocks(tracer, points, |stands| {
+                environment.block(&detail.sky, stands)
+            });
+            sky.into_iter().map(|light| light.irradiance).collect()
+        } else {
+            vec![Vec3::ZERO; points.len()]
+        };
+        if self.0.has_emitters() {
+            for (light, point) in light.iter_mut().zip(points) {
+                *light += (self.0).emitters_by(detail, shader, &Stand::new(tracer, point));
+            }
         }
-        self.0.environment_by(&self.0.coarse, tracer, point)
-            + (self.0).emitters_by(&self.0.coarse, shader, &Stand::new(tracer, point))
+        light
     }
 }
 

@@ -39,6 +39,11 @@ const MAPS_LAW: f64 = 0.25;
 /// they hang on the worst of these. Beyond it, in a box with two spheres, the run missed what was foretold.
 const OWN_SHARE: f64 = 0.6;
 
+/// Maps for less than this share of what others cost are worth a try beyond [`OWN_SHARE`] too: the run looks back at
+/// what came of it, and turns to the others if it has to. On the bunny of `tests/bench/make_scenes.py` at 2 % maps were
+/// foretold 1.8 % at a twentieth of the rays' cost, and held it, though nearly all of it was their own.
+const TRY_SHARE: f64 = 0.2;
+
 /// Receivers nearer to a corner or edge than this in barycentric weight have no plane of their own: as rays have it.
 const RIM: f32 = 1e-4;
 
@@ -109,7 +114,7 @@ pub(super) fn search(
         let expected = |settings: &MapsSettings| maps::seconds(plan, question.total, settings);
         let least = expected(&settings(spread.needed(0.0, question)));
         // Half: the expectation is right within a factor of two. That of one detail over another is better.
-        let holds = best.filter(|best| best.holds(question));
+        let holds = best.filter(|best| best.holds(question, start.limit));
         let is_dearer = |best: SkyBid| least >= expected(&best.settings);
         if 0.5 * least > start.limit || holds.is_some_and(is_dearer) {
             continue;
@@ -117,28 +122,32 @@ pub(super) fn search(
         let attempt = Attempt::make(question, plan, (settings(tried), &truth), diagnostics)?;
         let bid = attempt.bid(question, plan, &spread, &settings);
         trials.push(record(&bid, question));
-        if bid.beats(best.as_ref(), question) {
+        if bid.beats(best.as_ref(), (question, start.limit)) {
             best = Some(bid);
         }
     }
     let serves = |best: &SkyBid| {
-        start.limit.is_infinite() || (best.holds(question) && best.seconds < start.limit)
+        start.limit.is_infinite()
+            || (best.holds(question, start.limit) && best.seconds < start.limit)
     };
     Ok(best.filter(serves))
 }
 
 impl SkyBid {
-    fn holds(&self, question: &Question<'_>) -> bool {
-        self.error <= question.allowed && self.own_error <= OWN_SHARE * question.allowed
+    /// True if it will meet what is allowed, or is likely to and cheap enough beside `limit` seconds to find out.
+    fn holds(&self, question: &Question<'_>, limit: f64) -> bool {
+        let is_sure = self.own_error <= OWN_SHARE * question.allowed;
+        let is_cheap = limit.is_finite() && self.seconds <= TRY_SHARE * limit;
+        self.error <= question.allowed && (is_sure || is_cheap)
     }
 
-    fn beats(&self, best: Option<&Self>, question: &Question<'_>) -> bool {
+    fn beats(&self, best: Option<&Self>, (question, limit): (&Question<'_>, f64)) -> bool {
         match best {
             None => true,
-            Some(best) if best.holds(question) => {
-                self.holds(question) && self.seconds < best.seconds
+            Some(best) if best.holds(question, limit) => {
+                self.holds(question, limit) && self.seconds < best.seconds
             }
-            Some(best) => self.holds(question) || self.error < best.error,
+            Some(best) => self.holds(question, limit) || self.error < best.error,
         }
     }
 }
