@@ -11,6 +11,7 @@
 //! 2.4 %, and 20 % instead of 7 % at 32² pixels, because such squares leave gaps. Leaves and other scattered surfels
 //! overlap at random ("over") instead of adding up; that would cover 25 to 45 % too much.
 
+mod own;
 mod pixels;
 mod raster;
 
@@ -19,6 +20,7 @@ use super::{Engine, Hemisphere};
 use crate::octree::{Node, Octree};
 use crate::receivers::Receivers;
 use glam::Vec3;
+use own::OwnSurface;
 use pixels::{OpenPixel, PixelTable};
 use raster::{RasterCube, Shape, Splat};
 use std::f32::consts::PI;
@@ -53,6 +55,7 @@ impl Default for PaperSettings {
 #[derive(Debug)]
 pub struct PaperEngine<'a> {
     octree: &'a Octree,
+    own: OwnSurface,
     cut: CutSettings,
     pixels: PixelTable,
     /// Solid angle above which a surfel is ray cast.
@@ -76,6 +79,7 @@ impl<'a> PaperEngine<'a> {
         let pixels = PixelTable::new(settings.raster_resolution.max(1) as usize);
         Self {
             octree,
+            own: OwnSurface::new(octree.surfels()),
             cut: CutSettings {
                 max_solid_angle: settings.max_solid_angle,
                 max_distance: settings.max_distance.unwrap_or(f32::INFINITY),
@@ -161,7 +165,7 @@ impl<'a> PaperEngine<'a> {
         let surfels = self.octree.surfels();
         let offset = surfels.position[surfel] - position;
         let (normal, radius) = (surfels.normal[surfel], surfels.radius[surfel]);
-        if is_own_surface(offset, receiver_normal, normal, radius) {
+        if self.own.has(surfels, surfel, (position, receiver_normal)) {
             return None;
         }
         let distance = offset.length();
@@ -182,34 +186,6 @@ impl<'a> PaperEngine<'a> {
             is_scattered: false,
             shape,
         })
-    }
-}
-
-/// A disk that the receiver lies on, closer than this many of its radii, and that faces the same way, is the
-/// receiver's own surface: this much a curved surface bends away from a disk of 1/10 of its radius of curvature.
-const OWN_SURFACE_RADII: f32 = 0.05;
-
-/// A disk of the other side of the receiver's own surface does not rise above the receiver by more than this many of
-/// its radii: rounding. A sheet in contact does.
-const OTHER_SIDE_RADII: f32 = 1e-3;
-
-/// Least cosine, up to its sign, between the normals of the receiver and of its own surface.
-const OWN_SURFACE_COSINE: f32 = 0.5;
-
-/// True for disks that are the receiver's own surface, or the other side of it where that is seen from both: they
-/// stick out over edges and curvature and would cover what the surface itself does not.
-fn is_own_surface(offset: Vec3, receiver_normal: Vec3, normal: Vec3, radius: f32) -> bool {
-    let facing = normal.dot(receiver_normal);
-    let height = -normal.dot(offset);
-    let beside = (offset + normal * height).length();
-    if facing >= OWN_SURFACE_COSINE {
-        height <= OWN_SURFACE_RADII * radius && beside <= radius
-    } else {
-        // Neighbours reach over the receiver too: their planes cross its own halfway to their centers.
-        facing <= -OWN_SURFACE_COSINE
-            && offset.dot(receiver_normal) <= OTHER_SIDE_RADII * radius
-            && height <= radius
-            && beside <= 2.0 * radius
     }
 }
 
