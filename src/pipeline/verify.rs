@@ -1,9 +1,9 @@
 //! `surflux verify`: speed against error of every engine, on the scene that is given.
 
-use super::choice::{self, Choice, Chosen, PAPER_KNOBS, paper_knobs};
+mod subjects;
+
 use super::gather::{Light, Stand, light};
 use super::job::{GatherJob, VerifyJob};
-use super::maps::{self, MapsKnobs, Promise};
 use super::report::Report;
 use super::spacing::{self, Lit};
 use super::view::camera;
@@ -11,7 +11,6 @@ use super::world::{Needs, World, with_world};
 use super::{Error, outputs};
 use crate::diagnostics::Diagnostics;
 use crate::gather::estimate::spread;
-use crate::gather::maps::{MapsSettings, supports};
 use crate::gather::{GatherScene, RaysSettings};
 use crate::lighting::{LightSamples, Lighting};
 use crate::pilot::Method;
@@ -23,30 +22,15 @@ use crate::results::Aov;
 use crate::scene::PrimId;
 use crate::stage;
 use crate::verify::{
-    Auto, ErrorPicture, Machine, Question, Sees, Set, Subject, VerifyReport, label, look, measure,
-    page, picture, signed, truth,
+    ErrorPicture, Machine, Question, Set, Subject, VerifyReport, label, look, measure, page,
+    picture, signed, truth,
 };
 use crate::writers::write_whole;
 use std::time::Instant;
+use subjects::{Swept, auto};
 
 /// Tolerances that `auto` is asked for.
 const TOLERANCES: [f64; 3] = [0.05, 0.02, 0.01];
-
-/// Rays a receiver that are swept.
-const RAYS: [u32; 5] = [16, 64, 256, 1024, 4096];
-
-/// Knobs of the paper's engine that are swept besides those that `auto` knows.
-const MORE_PAPER_KNOBS: [(f32, u32); 1] = [(0.3, 6)];
-
-/// Maps that are swept: directions, pixel and cell in edges, bias in pixels.
-const MAPS: [(u32, f32, f32, f32); 6] = [
-    (64, 3.0, 3.0, 1.0),
-    (256, 3.0, 3.0, 1.0),
-    (64, 1.0, 0.0, 0.5),
-    (256, 1.0, 0.0, 0.5),
-    (1024, 1.0, 0.0, 0.5),
-    (256, 0.5, 0.0, 0.5),
-];
 
 /// Pixels across of the camera's set; the height follows the aperture.
 const SET_WIDTH: u32 = 128;
@@ -259,7 +243,7 @@ impl Arena<'_> {
         let tuned = self.tuned(all, aov, diagnostics)?;
         let stand_on = |tuned| Stand::new(self.world, tuned, all, &aovs, &self.job.gather);
         let stands: Vec<Stand<'_>> = tuned.iter().map(|(lit, _)| stand_on(lit)).collect();
-        let mut question = self.question(aov, &stand, &truth);
+        let mut question = self.question(aov, &stand, &truth, diagnostics);
         for ((stand, (_, seconds)), tolerance) in stands.iter().zip(&tuned).zip(TOLERANCES) {
             let subject = auto(stand, tolerance, *seconds, diagnostics)?;
             question.subjects.push(subject);
@@ -302,6 +286,7 @@ impl Arena<'_> {
         aov: Aov,
         stand: &'s Stand<'_>,
         truth: &'s Stand<'_>,
+        diagnostics: &Diagnostics,
     ) -> Question<'s> {
         let half = |turn: f32| {
             let settings = RaysSettings {
@@ -310,48 +295,11 @@ impl Arena<'_> {
             };
             Box::new(truth.rays_with(settings)) as Box<dyn Method + 's>
         };
-        let rays = RAYS.iter().map(|&rays| Subject {
-            engine: "rays",
-            knobs: vec![("rays", f64::from(rays))],
-            method: Box::new(stand.rays_with(stand.rays_settings(rays))) as Box<dyn Method + 's>,
-            auto: None,
-            sees: Sees::Each,
-        });
-        let paper = MORE_PAPER_KNOBS
-            .iter()
-            .chain(&PAPER_KNOBS)
-            .map(|&knobs| Subject {
-                engine: "paper",
-                knobs: paper_knobs(knobs),
-                method: Box::new(self.surfels.paper(knobs)) as Box<dyn Method + 's>,
-                auto: None,
-                sees: Sees::Each,
-            });
-        let maps = MAPS
-            .iter()
-            .filter(|_| supports(aov))
-            .map(|&(directions, pixel, cell, bias)| {
-                let settings = MapsSettings {
-                    directions,
-                    pixel,
-                    cell,
-                    bias,
-                    max_distance: self.job.gather.max_distance,
-                    ..MapsSettings::default()
-                };
-                let knobs = MapsKnobs {
-                    settings,
-                    handed_over: directions,
-                    others: directions,
-                };
-                Subject {
-                    engine: "maps",
-                    knobs: maps::names(&knobs),
-                    method: Box::new(stand.maps(&knobs, None)) as Box<dyn Method + 's>,
-                    auto: None,
-                    sees: Sees::All(None),
-                }
-            });
+        let swept = Swept {
+            world: self.world,
+            surfels: self.surfels,
+            max_distance: self.job.gather.max_distance,
+        };
         Question {
             aov,
             scene: stand.scene(),
@@ -361,52 +309,9 @@ impl Arena<'_> {
             },
             // Turns that neither the run's pattern (0) nor the pilot's (multiples of 1/√2) have.
             truth: [half(0.3), half(0.58)],
-            subjects: rays.chain(maps).chain(paper).collect(),
+            subjects: swept.subjects(aov, stand, diagnostics),
         }
     }
-}
-
-/// What `--tolerance` picks for all of `stand`'s receivers.
-fn auto<'s>(
-    stand: &'s Stand<'_>,
-    tolerance: f64,
-    surfel_seconds: f64,
-    diagnostics: &Diagnostics,
-) -> Result<Subject<'s>, Error> {
-    let outcome = choice::look(stand, tolerance, diagnostics)?;
-    let auto = Auto {
-        tolerance,
-        estimate: outcome.worst(),
-        pilot_microseconds: 1e6 * (outcome.seconds + surfel_seconds)
-            / stand.receivers.len().max(1) as f64,
-    };
-    let (engine, knobs, method): (_, _, Box<dyn Method + 's>) = match Choice::of(&outcome).engine {
-        Chosen::Paper(knobs) => ("paper", paper_knobs(knobs), Box::new(stand.paper(knobs))),
-        Chosen::Rays(rays) => (
-            "rays",
-            vec![("rays", f64::from(rays))],
-            Box::new(stand.rays_with(stand.rays_settings(rays))),
-        ),
-        Chosen::Maps(knobs) => {
-            let promise = outcome
-                .check
-                .clone()
-                .map(|check| Promise { check, tolerance });
-            let method = Box::new(stand.maps(&knobs, promise));
-            ("maps", maps::names(&knobs), method)
-        }
-    };
-    Ok(Subject {
-        engine,
-        knobs,
-        method,
-        auto: Some(auto),
-        sees: if engine == "maps" {
-            Sees::All(outcome.check)
-        } else {
-            Sees::Each
-        },
-    })
 }
 
 /// Rays of the truth of a whole picture, at most: it is there to look at.

@@ -4,14 +4,17 @@ use super::Row;
 use super::plot::{engine_color, put};
 
 const WIDTH: f64 = 440.0;
-const HEIGHT: f64 = 200.0;
+const HEIGHT: f64 = 212.0;
 const BOTTOM: f64 = 24.0;
 /// Room for the legend.
-const TOP: f64 = 46.0;
+const TOP: f64 = 58.0;
 const BINS: usize = 41;
 
 /// Share of all errors that the horizontal axis reaches over.
 const REACH: f64 = 0.98;
+
+/// Rows far worse than the best pile up at the ends, so that the others can be told apart.
+const MOST_OVER_LEAST: f64 = 8.0;
 
 /// Counts of errors in `BINS` equal bins from −`reach` to `reach`; those beyond are in the outermost.
 fn counts(errors: &[f64], reach: f64) -> [usize; BINS] {
@@ -32,16 +35,22 @@ fn index(place: f64) -> usize {
     place.floor().clamp(0.0, BINS as f64 - 1.0) as usize
 }
 
-/// The magnitude that `REACH` of the errors do not exceed; above 0.
+/// The magnitude that `REACH` of the errors of every row do not exceed, but no more than [`MOST_OVER_LEAST`] times what
+/// holds for the best row; above 0.
 fn reach(rows: &[&Row]) -> f64 {
-    let mut sizes: Vec<f64> = rows
-        .iter()
-        .flat_map(|row| row.errors.iter().map(|error| error.abs()))
-        .filter(|size| size.is_finite())
-        .collect();
+    let reaches = rows.iter().map(|row| reach_of(&row.errors));
+    let (least, most) = reaches.fold((f64::INFINITY, 0.0_f64), |(least, most), reach| {
+        (least.min(reach), most.max(reach))
+    });
+    most.min(MOST_OVER_LEAST * least).max(f64::EPSILON)
+}
+
+fn reach_of(errors: &[f64]) -> f64 {
+    let sizes = errors.iter().map(|error| error.abs());
+    let mut sizes: Vec<f64> = sizes.filter(|size| size.is_finite()).collect();
     sizes.sort_by(f64::total_cmp);
     let at = index_of_share(sizes.len());
-    sizes.get(at).copied().unwrap_or(0.0).max(f64::EPSILON)
+    sizes.get(at).copied().unwrap_or(0.0)
 }
 
 #[expect(
@@ -80,7 +89,7 @@ pub(super) fn histogram(rows: &[&Row]) -> String {
         }
         points.push(format!("{WIDTH},{floor}"));
         let color = engine_color(row.engine);
-        let dash = ["", "4 2", "1.5 2"][k.min(2)];
+        let dash = ["", "4 2", "7 2", "1.5 2"][k.min(3)];
         put(
             &mut svg,
             format_args!(
@@ -88,7 +97,7 @@ pub(super) fn histogram(rows: &[&Row]) -> String {
              <text x=\"4\" y=\"{}\" fill=\"{color}\">{} {}</text>",
                 points.join(" "),
                 12.0 + 12.0 * k as f64,
-                ["—", "– –", "···"][k.min(2)],
+                ["—", "– –", "— —", "···"][k.min(3)],
                 row.label()
             ),
         );
