@@ -14,7 +14,8 @@ use surflux::bounce::{BounceClouds, CoarseCloud, bounce};
 use surflux::diagnostics::{Cancelled, Diagnostics};
 
 use surflux::gather::{
-    GatherScene, RadianceSource, RaysEngine, RaysFactory, RaysSettings, Reference, estimate, gather,
+    GatherScene, NearLight, RadianceSource, RaysEngine, RaysFactory, RaysSettings, Reference,
+    estimate, gather,
 };
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::math::sh::Sh9;
@@ -82,6 +83,7 @@ impl<'a> Setup<'a> {
         let source = RadianceSource::Baked {
             cloud,
             dice: &baked.dice,
+            near: None,
         };
         let engine = RaysEngine::new(&self.tracer, Some(source), RaysSettings::default());
         gather(
@@ -522,4 +524,56 @@ fn positions_far_from_the_world_origin_are_added_in_double_precision() {
         assert_eq!(*world, (scene.origin + local.as_dvec3()).as_vec3());
     }
     assert!(values(&results, Aov::PrimId).iter().all(|&id| id == 0.0));
+}
+
+#[test]
+fn no_light_gets_into_a_gap_thinner_than_surfels_are_wide() {
+    let mut builder = SceneBuilder::new();
+    let white = builder.material(Vec3::ONE, Vec3::ZERO);
+    let ground = plate(Vec3::new(-1.0, 0.0, 1.0), 2.0 * Vec3::X, -2.0 * Vec3::Z, 1);
+    builder.mesh("ground", ground, white);
+    // It lies on the ground, all but a thousandth, and looks down at it.
+    let corner = Vec3::new(-0.24, 1e-3, -0.24);
+    let cover = plate(corner, 0.48 * Vec3::X, 0.48 * Vec3::Z, 16);
+    let cover = builder.mesh("cover", cover, white);
+    builder.sky(Vec3::ONE);
+    let scene = builder.build();
+    let setup = Setup::new(&scene);
+    let baked = setup.bake(400);
+    // All but those along the rim, which see what lies in the open.
+    let mut points = Vec::new();
+    for triangle in 0..2 * 16 * 16 {
+        let (row, column) = (triangle / 32, triangle / 2 % 16);
+        if (1..15).contains(&row) && (1..15).contains(&column) {
+            points.push((cover, triangle, 0.3, 0.3));
+        }
+    }
+    let receivers = receivers_at(&scene, &points);
+    assert!(receivers.normal.iter().all(|normal| normal.y < -0.99));
+    let brightest = |near: Option<NearLight<'_>>| {
+        let source = RadianceSource::Baked {
+            cloud: &baked.cloud,
+            dice: &baked.dice,
+            near,
+        };
+        let engine = RaysEngine::new(&setup.tracer, Some(source), RaysSettings::default());
+        let aovs = [Aov::IrradianceIndirect];
+        let found = gather(
+            setup.gather_scene(),
+            &engine,
+            &receivers,
+            &aovs,
+            &setup.diagnostics,
+        );
+        let found = found.expect("nobody cancels");
+        colors(&found, aovs[0])
+            .into_iter()
+            .fold(0.0, |most, e| f32::max(most, e.x))
+    };
+    let by_surfels = brightest(None);
+    assert!(by_surfels > 0.5, "surfels alone let light in: {by_surfels}");
+    let near = NearLight::new(&setup.tracer, &setup.lighting);
+    let most = brightest(near);
+    // Rays that graze along the gap for more than two surfels still read these: a two-hundredth of the view at most.
+    assert!(most < 5e-3 * PI, "{most}");
 }

@@ -133,6 +133,7 @@ impl<'a> Setup<'a> {
         let source = RadianceSource::Baked {
             cloud: &self.baked.cloud,
             dice: &self.baked.dice,
+            near: None,
         };
         let settings = RaysSettings {
             rays,

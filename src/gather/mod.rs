@@ -4,6 +4,7 @@
 
 mod environment;
 pub mod estimate;
+mod near;
 mod neighbors;
 pub mod quantities;
 pub mod radiance;
@@ -13,6 +14,7 @@ pub mod rays;
 mod testing;
 
 pub use estimate::{ErrorEstimate, Reference, estimate};
+pub use near::NearLight;
 pub use radiance::{LoadedCloud, RadianceSource};
 pub use rays::{RaysEngine, RaysFactory, RaysSettings};
 

@@ -1,5 +1,6 @@
 //! Where rays read the radiance of what they hit: the surfels. Shading is never evaluated at a hit.
 
+use super::near::NearLight;
 use crate::surfels::{DiceMap, NearestMap, SurfelCloud};
 use crate::trace::Hit;
 use glam::{DVec3, Vec3};
@@ -60,6 +61,8 @@ pub enum RadianceSource<'a> {
         cloud: &'a SurfelCloud,
         /// Which of them covers which part of a triangle.
         dice: &'a DiceMap,
+        /// Light in gaps that surfels are too coarse for; `None`: surfels tell it all. It knows no bounces.
+        near: Option<NearLight<'a>>,
     },
     /// Clouds from elsewhere, found by place; their light adds up (light groups).
     Loaded(Vec<LoadedCloud<'a>>),
@@ -69,9 +72,21 @@ impl RadianceSource<'_> {
     /// Radiance from `hit` back to `origin`, from which the unit `direction` met it; black on a side without surfels.
     pub fn radiance(&self, hit: &Hit, origin: Vec3, direction: Vec3) -> Outgoing {
         match self {
-            Self::Baked { cloud, dice } => dice
-                .surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front)
-                .map_or(Outgoing::BLACK, |i| Outgoing::of_surfel(cloud, i)),
+            Self::Baked { cloud, dice, near } => {
+                let found = dice.surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+                let Some(i) = found else {
+                    return Outgoing::BLACK;
+                };
+                let of_surfel = Outgoing::of_surfel(cloud, i);
+                let position = origin + direction * hit.distance;
+                let reflected = near
+                    .as_ref()
+                    .and_then(|near| near.reflected((cloud, i as usize), hit, position));
+                Outgoing {
+                    reflected: reflected.unwrap_or(of_surfel.reflected),
+                    ..of_surfel
+                }
+            }
             Self::Loaded(clouds) => {
                 let position = origin + direction * hit.distance;
                 clouds.iter().fold(Outgoing::BLACK, |sum, loaded| {
@@ -153,6 +168,7 @@ mod tests {
         let nothing = RadianceSource::Baked {
             cloud: &cloud,
             dice: &dice,
+            near: None,
         };
         assert_eq!(
             nothing.radiance(&hit(1.0), Vec3::Y, -Vec3::Y),

@@ -237,7 +237,8 @@ pub struct RaysFactory<'a> {
 impl EngineFactory for RaysFactory<'_> {
     fn with_engine(&self, cloud: &SurfelCloud, work: &mut dyn FnMut(&dyn Engine)) {
         let dice = self.dice;
-        let source = RadianceSource::Baked { cloud, dice };
+        let near = None;
+        let source = RadianceSource::Baked { cloud, dice, near };
         work(&RaysEngine::new(self.tracer, Some(source), self.settings));
     }
 }

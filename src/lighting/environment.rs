@@ -7,7 +7,7 @@ mod set;
 mod texels;
 
 pub use block::SkyLight;
-pub(super) use block::{MOST, light};
+pub(super) use block::{MOST, glimpse, light};
 pub use set::{EnvironmentCell, EnvironmentSet};
 
 use super::pictures;

@@ -331,6 +331,14 @@ impl SurfelLighting<'_> {
             .sum()
     }
 
+    /// Irradiance from all lights and domes by one ray a light and a few to the sky, which `number` chooses: in the mean
+    /// over all numbers the truth. Emissive surfaces are left out.
+    pub fn glimpse(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
+        let stand = Stand::new(tracer, point);
+        let cells = self.0.coarse.sky.cells();
+        self.glance(tracer, point, number) + environment::glimpse(cells, &stand, number)
+    }
+
     /// Irradiance from dome lights and emissive surfaces at each of `points`; faster where neighbors follow each other.
     pub fn wide(&self, shader: &Shader<'_>, tracer: &Tracer, points: &[ShadePoint]) -> Vec<Vec3> {
         let detail = &self.0.coarse;

@@ -13,8 +13,8 @@ use crate::diagnostics::Diagnostics;
 use crate::gather::maps::MapsPlan;
 use crate::gather::paper::{PaperEngine, PaperSettings};
 use crate::gather::{
-    self, GatherScene, LoadedCloud, RadianceSource, RaysEngine, RaysFactory, RaysSettings,
-    Reference,
+    self, GatherScene, LoadedCloud, NearLight, RadianceSource, RaysEngine, RaysFactory,
+    RaysSettings, Reference,
 };
 use crate::lighting::{LightSamples, Lighting};
 use crate::octree::Octree;
@@ -44,12 +44,20 @@ impl Light {
         }
     }
 
-    pub(super) fn source(&self, world: &World<'_>) -> Option<RadianceSource<'_>> {
+    /// Light after `bounces` reflections but the last.
+    pub(super) fn source<'a>(
+        &'a self,
+        world: &'a World<'_>,
+        bounces: u32,
+    ) -> Option<RadianceSource<'a>> {
         match self {
             Self::None => None,
             Self::Baked(baked) => Some(RadianceSource::Baked {
                 cloud: &baked.cloud,
                 dice: &baked.dice,
+                near: (bounces <= 1)
+                    .then(|| NearLight::new(&world.tracer, &world.lighting))
+                    .flatten(),
             }),
             Self::Loaded(clouds) => Some(RadianceSource::Loaded(
                 clouds
@@ -152,7 +160,7 @@ impl<'a> Stand<'a> {
             world,
             light: &lit.light,
             surfel_errors: &lit.errors,
-            source: lit.light.source(world),
+            source: lit.light.source(world, job.bounces),
             octree: OnceCell::new(),
             maps_plan: OnceCell::new(),
             receivers,

@@ -35,6 +35,11 @@ const RAYS: u32 = 256;
 /// Power of the spacing that the error falls with.
 const LAW: f64 = 1.0;
 
+/// Below this power of the spacing finer clouds hardly help: what is left hangs on single receivers in gaps between
+/// surfaces, thinner than any surfel would be. Four times the surfels take a fifth off the error then. On a chess set of
+/// 4.4 million triangles, whose boards and feet nearly touch, 4 million surfels were lit before for 5.2 instead of 2 %.
+const STALLED: f64 = 0.3;
+
 /// Clouds whose spacings differ by less than this cannot judge each other.
 const LEAST_RATIO: f64 = 1.25;
 
@@ -121,6 +126,7 @@ impl Ladder<'_> {
         let [first, second] = if is_fixed { [4, 1] } else { FIRST };
         let mut coarse = self.look(&coarsen(usual, first), (&mut *report, diagnostics))?;
         let mut settings = coarsen(usual, second);
+        let mut before = None;
         loop {
             let fine = self.look(&settings, (&mut *report, diagnostics))?;
             let errors = if is_fixed && !is_finer(&coarse, &fine) {
@@ -138,12 +144,14 @@ impl Ladder<'_> {
             };
             let worst = errors.iter().copied().fold(0.0, f64::max) / self.allowed;
             let count = fine.baked.cloud.len();
-            if worst <= 1.0 || is_fixed || count >= MOST {
+            let is_stalled = before.is_some_and(|before| law((before, (count, worst))) < STALLED);
+            if worst <= 1.0 || is_fixed || is_stalled || count >= MOST {
                 report.set("spacing", f64::from(fine.baked.cloud.spacing));
                 report.set("surfel_error", worst * self.allowed);
                 return Ok((fine.baked, errors));
             }
             settings.surfels = more(count, worst);
+            before = Some((count, worst));
             coarse = fine;
         }
     }
@@ -160,7 +168,7 @@ impl Ladder<'_> {
             max_distance: self.job.max_distance,
             ..RaysSettings::default()
         };
-        let engine = RaysEngine::new(&self.world.tracer, light.source(self.world), rays);
+        let engine = RaysEngine::new(&self.world.tracer, light.source(self.world, 1), rays);
         let scene = GatherScene {
             shader: self.world.shader,
             tracer: &self.world.tracer,
@@ -218,6 +226,16 @@ fn is_finer(coarse: &Look, fine: &Look) -> bool {
     ratio(coarse, fine) > LEAST_RATIO
 }
 
+/// Power of the spacing that errors fell with from one cloud to the next: surfels and error of each.
+fn law((before, after): ((usize, f64), (usize, f64))) -> f64 {
+    let finer = 0.5 * (after.0.max(1) as f64 / before.0.max(1) as f64).ln();
+    if finer > 0.0 && after.1 > 0.0 {
+        (before.1 / after.1).ln() / finer
+    } else {
+        LAW
+    }
+}
+
 /// Surfels that bring down an error `excess` times too large.
 #[expect(
     clippy::cast_possible_truncation,
@@ -232,6 +250,17 @@ fn more(count: usize, excess: f64) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_law_is_the_slope_of_the_error_over_the_spacing() {
+        assert!((law(((1000, 0.08), (4000, 0.04))) - 1.0).abs() < 1e-12);
+        assert!((law(((1000, 0.08), (16_000, 0.04))) - 0.5).abs() < 1e-12);
+        assert!(law(((1000, 0.08), (4000, 0.08))).abs() < 1e-12);
+        assert!(
+            law(((1000, 0.08), (1000, 0.04))) >= STALLED,
+            "no slope to tell"
+        );
+    }
 
     #[test]
     fn surfels_grow_with_the_square_of_the_error_within_limits() {

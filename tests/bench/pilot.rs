@@ -134,6 +134,7 @@ fn light_in_a_room(bencher: Bencher<'_, '_>, tolerance: f64) {
         source: Some(RadianceSource::Baked {
             cloud: &baked.cloud,
             dice: &baked.dice,
+            near: None,
         }),
         receivers: &dense::vertices(&scene),
         maps: Maps::Never,

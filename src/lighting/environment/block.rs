@@ -39,6 +39,26 @@ pub(in crate::lighting) fn light(cells: &[EnvironmentCell], stands: &[Stand<'_>]
     sums
 }
 
+/// Every n-th of `cells` at most, so that about so many are looked at.
+const GLIMPSED: usize = 8;
+
+/// Irradiance of `cells` at `stand` by a few of them, which `number` chooses: in the mean over all numbers that of
+/// [`light`].
+pub(in crate::lighting) fn glimpse(
+    cells: &[EnvironmentCell],
+    stand: &Stand<'_>,
+    number: usize,
+) -> Vec3 {
+    let stride = (cells.len() / GLIMPSED).max(1);
+    let chosen = cells.iter().skip(number % stride).step_by(stride);
+    let lit = chosen.filter_map(|cell| {
+        let arrival = cell.arrival(stand.point.normal)?;
+        let direction = arrival.bent.unwrap_or(cell.direction());
+        stand.sees_sky(direction).then_some(arrival.irradiance)
+    });
+    stride as f32 * lit.sum::<Vec3>()
+}
+
 impl SkyLight {
     /// One receiver on its own: the definition of [`light`].
     pub(in crate::lighting) fn at(set: &EnvironmentSet, stand: &Stand<'_>) -> Self {
