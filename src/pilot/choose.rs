@@ -4,6 +4,7 @@ mod by_maps;
 
 use super::check::Check;
 use super::clock::Clock;
+use super::crowd::crowd;
 use super::error::{mean_magnitude, measured_as, relative, rms_difference, values};
 use super::image::Image;
 use super::light::{self, LightError};
@@ -81,6 +82,8 @@ struct Bench<'b, 'a, 'c> {
     few: Receivers,
     picks: Vec<usize>,
     half: Receivers,
+    /// Neighbors, which tell what a receiver of the run costs.
+    crowd: Receivers,
     light: LightError,
     /// An environment with an image that maps could see.
     image: Option<Image>,
@@ -112,6 +115,8 @@ struct Look {
 struct Judge {
     rays: f64,
     seconds_per_receiver: f64,
+    /// The same of a receiver without neighbors.
+    lone_seconds: f64,
     errors: Vec<f64>,
     reference: Results,
     /// Squared error of the reference over that of the chosen rays.
@@ -167,6 +172,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             few,
             picks,
             half,
+            crowd: crowd(pilot.receivers),
             light,
             image,
             aovs: Vec::new(),
@@ -341,9 +347,16 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             });
             let more = (rays * (ratio / AIM).powf(1.0 / law)).min(MOST_RAYS);
             if ratio <= 1.0 || more <= rays {
+                let lone_seconds = look.seconds_per_receiver;
+                let crowd = self.rays(rays, 0.0, &self.crowd)?.seconds_per_receiver;
+                let seconds_per_receiver = crowd.min(lone_seconds);
+                if let Some(trial) = self.trials.last_mut() {
+                    trial.seconds_per_receiver = seconds_per_receiver;
+                }
                 return Ok(Judge {
                     rays,
-                    seconds_per_receiver: look.seconds_per_receiver,
+                    seconds_per_receiver,
+                    lone_seconds,
                     errors,
                     reference,
                     share,

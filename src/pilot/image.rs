@@ -2,18 +2,14 @@
 
 use super::choose::AIM;
 use super::clock::Clock;
+use super::crowd::crowd;
 use super::error::values;
 use super::light::LightError;
 use super::sky::Asked;
 use super::{Maps, Method, Pilot, check};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::maps::{self, MapsSettings, MapsSky};
-use crate::receivers::Receivers;
 use crate::results::{Aov, AovBuffer};
-
-/// Runs of neighboring receivers that tell costs, and receivers in each: what looks along a direction together.
-const RUNS: usize = 4;
-const RUN: usize = 64;
 
 /// Maps are not tried for an image whose samples cost less than so many divisions of the sky: the pilot makes up to five.
 const WORTH: f64 = 20.0;
@@ -49,7 +45,7 @@ impl Image {
         let Some(truth) = finer.get(aov).cloned() else {
             return Ok(None);
         };
-        let neighbors = neighbors(pilot.receivers);
+        let neighbors = crowd(pilot.receivers);
         let each = f64::from(light.scale) / neighbors.len().max(1) as f64;
         let clock = Clock::start();
         engine.gather(scene, &neighbors, &[aov], diagnostics)?;
@@ -93,13 +89,4 @@ impl Image {
         };
         (known, self.truth.clone())
     }
-}
-
-/// A few runs of receivers next to each other, as far as their order has neighbors next to each other.
-fn neighbors(receivers: &Receivers) -> Receivers {
-    let count = receivers.len();
-    let runs = RUNS.min(count.div_ceil(RUN));
-    let from = |k: usize| k * count / runs;
-    let run = |k: usize| from(k)..(from(k) + RUN).min(from(k + 1));
-    receivers.subset(&(0..runs).flat_map(run).collect::<Vec<_>>())
 }

@@ -8,6 +8,7 @@
 mod check;
 mod choose;
 pub mod clock;
+mod crowd;
 pub mod error;
 mod image;
 mod light;
@@ -16,6 +17,7 @@ mod sky;
 
 pub use check::Check;
 pub use choose::{choose, picks};
+pub use crowd::crowd;
 pub use light::LightScenes;
 pub use question::{Maps, Outcome, Pilot, Trial};
 pub use sky::knobs as maps_knobs;

@@ -62,7 +62,7 @@ fn summary(report: &VerifyReport) -> Markup {
         p.note {
             "Truth: rays to convergence, in two independent halves whose difference gives its standard error; that error is \
              taken out of relRMSE = rms(x − truth) / mean |truth|. p99 and max are of |x − truth| / max(|truth|, 0.1 mean). \
-             Times are processor time of one receiver on one thread, the median of three passes in turns, without building what an engine \
+             Times are processor time of one receiver among its neighbors on one thread, the median of three passes in turns, without building what an engine \
              stands on. Rings and shaded rows are what --tolerance picks at that tolerance."
         }
         p { @for engine in engines(report) {

@@ -18,7 +18,7 @@ use crate::diagnostics::{Cancelled, Diagnostics, Silent};
 use crate::gather::GatherScene;
 use crate::pilot::clock::Clock;
 use crate::pilot::error::{ErrorStatistics, Truth, relative, statistics, values};
-use crate::pilot::{Check, Knobs, Method};
+use crate::pilot::{Check, Knobs, Method, crowd};
 use crate::receivers::Receivers;
 use crate::results::Aov;
 use serde::Serialize;
@@ -40,6 +40,8 @@ pub struct Set<'a> {
     pub picks: Vec<usize>,
     /// All there are.
     pub all: &'a Receivers,
+    /// Neighbors, which tell what a receiver of a run costs.
+    crowd: Receivers,
 }
 
 impl<'a> Set<'a> {
@@ -50,6 +52,7 @@ impl<'a> Set<'a> {
             receivers: all.subset(&picks),
             picks,
             all,
+            crowd: crowd(all),
         }
     }
 }
@@ -57,7 +60,7 @@ impl<'a> Set<'a> {
 /// What a subject has to be given so that its time means something.
 #[derive(Debug, Clone)]
 pub enum Sees {
-    /// Some receivers: each costs the same.
+    /// Some receivers: each costs the same, but for what it shares with its neighbors.
     Each,
     /// All receivers at once: what they share is most of the cost. The check, if there is one, tells the error that a
     /// run would report.
@@ -80,9 +83,10 @@ pub struct Subject<'a> {
 }
 
 impl Subject<'_> {
+    /// Those that it is timed at.
     fn receivers<'s>(&self, set: &'s Set<'_>) -> &'s Receivers {
         match self.sees {
-            Sees::Each => &set.receivers,
+            Sees::Each => &set.crowd,
             Sees::All(_) => set.all,
         }
     }
@@ -283,7 +287,14 @@ pub fn measure(
             let timed = one_thread(|| run(question, subject, set, &silent))?;
             times[i].push(timed.seconds);
             if pass == 0 {
-                rows.push(row(question, subject, (set, &timed), &truth));
+                let pass = match subject.sees {
+                    Sees::Each => Pass {
+                        values: look(question, subject.method.as_ref(), &set.receivers, &silent)?,
+                        ..timed
+                    },
+                    Sees::All(_) => timed,
+                };
+                rows.push(row(question, subject, (set, &pass), &truth));
             }
         }
     }
@@ -303,7 +314,7 @@ pub fn measure(
 
 /// One pass of one subject.
 struct Pass {
-    /// At the set's receivers.
+    /// At the receivers that it was timed at; of all of them, only the set's.
     values: Vec<f64>,
     /// A receiver.
     seconds: f64,

@@ -35,7 +35,10 @@ impl Bench<'_, '_, '_> {
             return Ok(None);
         }
         // A ray costs the same for the sky and for light, about.
-        let ray = by_rays.map_or(0.0, |(_, judge)| judge.seconds_per_receiver / judge.rays);
+        let a_ray = |seconds: fn(&Judge) -> f64| {
+            by_rays.map_or(0.0, |(_, judge)| seconds(judge) / judge.rays)
+        };
+        let ray = a_ray(|judge| judge.seconds_per_receiver);
         let others_seconds = self.run_seconds(ray * others.unwrap_or(0.0));
         // Rays for light that are enough for the sky too tell it for nothing.
         let is_free = others.is_some_and(|others| others >= sky_rays.unwrap_or(0.0));
@@ -43,7 +46,9 @@ impl Bench<'_, '_, '_> {
             return Ok(None);
         }
         let mut trials = std::mem::take(&mut self.trials);
-        let handed_over_seconds = ray * sky_rays.unwrap_or(0.0) + image_seconds;
+        // Those handed over have no neighbors.
+        let lone_ray = a_ray(|judge| judge.lone_seconds);
+        let handed_over_seconds = lone_ray * sky_rays.unwrap_or(0.0) + image_seconds;
         let question = self.sky(by_rays.map(|(_, judge)| judge), handed_over_seconds);
         let start = sky::Start {
             plan,
