@@ -148,8 +148,7 @@ fn fill(
         columns.put(look, &side, cell, next);
         // Black surfaces reflect nothing, whatever falls on them.
         if cell.surface.albedo != Vec3::ZERO {
-            waiting.push(next, cell.point);
-            waiting.light_full(look, &mut columns);
+            waiting.push((next, cell.point), look, &mut columns);
         }
         next += 1;
     };
@@ -181,12 +180,15 @@ impl Waiting {
     /// As many as look along one direction together.
     const FULL: usize = 64;
 
-    fn push(&mut self, row: usize, point: ShadePoint) {
+    /// Add one; all are lit once they are enough.
+    fn push(
+        &mut self,
+        (row, point): (usize, ShadePoint),
+        look: &Look<'_>,
+        columns: &mut BlockColumns<'_>,
+    ) {
         self.rows.push(row);
         self.points.push(point);
-    }
-
-    fn light_full(&mut self, look: &Look<'_>, columns: &mut BlockColumns<'_>) {
         if self.rows.len() == Self::FULL {
             self.light(look, columns);
         }

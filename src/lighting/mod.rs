@@ -325,9 +325,12 @@ impl SurfelLighting<'_> {
     /// The same with one ray a light, to a place on it that `number` chooses: exact out of penumbrae; in them either
     /// nothing or all of the light, and in the mean over all numbers the truth.
     pub fn glance(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
-        let stand = Stand::new(tracer, point);
+        self.glance_from(&Stand::new(tracer, point), number)
+    }
+
+    fn glance_from(&self, stand: &Stand<'_>, number: usize) -> Vec3 {
         (self.0.lights.iter())
-            .map(|light| light.glance(&self.0.coarse.lights, &stand, number))
+            .map(|light| light.glance(&self.0.coarse.lights, stand, number))
             .sum()
     }
 
@@ -336,7 +339,7 @@ impl SurfelLighting<'_> {
     pub fn glimpse(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
         let stand = Stand::new(tracer, point);
         let cells = self.0.coarse.sky.cells();
-        self.glance(tracer, point, number) + environment::glimpse(cells, &stand, number)
+        self.glance_from(&stand, number) + environment::glimpse(cells, &stand, number)
     }
 
     /// Irradiance from dome lights and emissive surfaces at each of `points`; faster where neighbors follow each other.

@@ -126,8 +126,8 @@ fn set(report: &VerifyReport, truth: &TruthSummary) -> Markup {
 /// Few enough outlines to tell apart: some rays, maps and the paper's own settings.
 fn in_histogram(row: &Row) -> bool {
     let knob = |name| row.settings.iter().find(|(knob, _)| *knob == name);
-    let rays = knob("rays").is_some_and(|(_, n)| [64.0, 256.0].contains(n));
     let is = |name, value: f64| knob(name).is_some_and(|(_, n)| *n == value);
+    let rays = is("rays", 64.0) || is("rays", 256.0);
     let maps = is("directions", 256.0) && is("pixel", 1.0);
     row.auto.is_none() && (rays || maps || is("raster_resolution", 12.0))
 }

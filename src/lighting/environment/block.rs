@@ -51,26 +51,28 @@ pub(in crate::lighting) fn glimpse(
 ) -> Vec3 {
     let stride = (cells.len() / GLIMPSED).max(1);
     let chosen = cells.iter().skip(number % stride).step_by(stride);
-    let lit = chosen.filter_map(|cell| {
+    let lit = unblocked(chosen, stand).map(|(irradiance, _)| irradiance);
+    stride as f32 * lit.sum::<Vec3>()
+}
+
+/// Irradiance of those of `cells` that `stand` sees, and the direction it comes from.
+fn unblocked<'a>(
+    cells: impl Iterator<Item = &'a EnvironmentCell>,
+    stand: &Stand<'_>,
+) -> impl Iterator<Item = (Vec3, Vec3)> {
+    cells.filter_map(|cell| {
         let arrival = cell.arrival(stand.point.normal)?;
         let direction = arrival.bent.unwrap_or(cell.direction());
-        stand.sees_sky(direction).then_some(arrival.irradiance)
-    });
-    stride as f32 * lit.sum::<Vec3>()
+        (stand.sees_sky(direction)).then_some((arrival.irradiance, direction))
+    })
 }
 
 impl SkyLight {
     /// One receiver on its own: the definition of [`light`].
     pub(in crate::lighting) fn at(set: &EnvironmentSet, stand: &Stand<'_>) -> Self {
         let mut sum = Self::default();
-        for cell in set.cells() {
-            let Some(arrival) = cell.arrival(stand.point.normal) else {
-                continue;
-            };
-            let direction = arrival.bent.unwrap_or(cell.direction());
-            if stand.sees_sky(direction) {
-                sum.add(arrival.irradiance, direction);
-            }
+        for (irradiance, direction) in unblocked(set.cells().iter(), stand) {
+            sum.add(irradiance, direction);
         }
         sum
     }
