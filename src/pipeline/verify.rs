@@ -33,7 +33,7 @@ use subjects::{Swept, auto};
 const TOLERANCES: [f64; 3] = [0.05, 0.02, 0.01];
 
 /// Pixels across of the camera's set; the height follows the aperture.
-const SET_WIDTH: u32 = 128;
+const SET_WIDTH: u32 = 512;
 
 /// Pixels across of pictures of errors: their truth takes a few thousand rays a pixel.
 const PICTURE_WIDTH: u32 = 64;
