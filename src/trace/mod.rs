@@ -72,7 +72,7 @@ struct Occurrence {
 /// Lifting height over the magnitude of the coordinates: 8 times the rounding of a position that was interpolated
 /// or transformed, 50 times below a contact of 1e-4 of the scene.
 const LIFT: f32 = 16.0 * f32::EPSILON;
-/// Edge functions of triangles that span the scene are rounded relative to the scene, wherever the position is.
+/// Positions on triangles that span the scene are rounded relative to its corners, wherever they are.
 const SCENE_SHARE: f32 = 0.25;
 
 impl Tracer {
