@@ -17,7 +17,7 @@ use glam::{Affine3A, Vec3};
 use ray::Ray;
 use rayon::prelude::*;
 use triangles::{LocalHit, Triangles};
-use wide::{Item, LEAF_SIZE, Leaf, Wide};
+use wide::{FARTHEST_FIRST, Item, LEAF_SIZE, Leaf, NEAREST_FIRST, Wide};
 
 /// Where a ray meets the scene first.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -129,7 +129,7 @@ impl Tracer {
     ) -> Option<Hit> {
         let mut ray = Ray::new(origin, direction, max_distance)?;
         let mut best = self.world.closest(simd, &mut ray);
-        self.top.traverse(
+        self.top.traverse::<NEAREST_FIRST, S>(
             simd,
             &mut ray,
             #[inline(always)]
@@ -164,7 +164,7 @@ impl Tracer {
             return true;
         }
         let mut hit = false;
-        self.top.traverse(
+        self.top.traverse::<FARTHEST_FIRST, S>(
             simd,
             &mut ray,
             #[inline(always)]

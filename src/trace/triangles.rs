@@ -12,7 +12,7 @@
 mod packet;
 
 use super::ray::{Line, Ray};
-use super::wide::{Item, LEAF_SIZE, Wide};
+use super::wide::{FARTHEST_FIRST, Item, LEAF_SIZE, NEAREST_FIRST, Wide};
 use crate::math::Bounds3;
 use crate::math::bits::bits_of;
 use fearless_simd::prelude::*;
@@ -88,7 +88,7 @@ impl Triangles {
     #[inline(always)]
     pub(super) fn closest<S: Simd>(&self, simd: S, ray: &mut Ray) -> Option<LocalHit> {
         let mut best = None;
-        self.tree.traverse(
+        self.tree.traverse::<NEAREST_FIRST, S>(
             simd,
             ray,
             #[inline(always)]
@@ -113,7 +113,7 @@ impl Triangles {
     #[inline(always)]
     pub(super) fn occluded<S: Simd>(&self, simd: S, ray: &mut Ray) -> bool {
         let mut hit = false;
-        self.tree.traverse(
+        self.tree.traverse::<FARTHEST_FIRST, S>(
             simd,
             ray,
             #[inline(always)]

@@ -3,7 +3,7 @@
 
 use super::{LEAF_SIZE, LocalHit, Met, Sheared, Triangles, counts, single_precision};
 use crate::math::bits::bits_of;
-use crate::trace::wide::{Column, LANES, PACKET_SIZE, Packet, ROWS};
+use crate::trace::wide::{Column, FARTHEST_FIRST, LANES, NEAREST_FIRST, PACKET_SIZE, Packet, ROWS};
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f64x4, f64x8};
 
@@ -66,7 +66,7 @@ impl Triangles {
     /// Takes the rays that hit anything out of `packet.active`.
     #[inline(always)]
     pub(in crate::trace) fn occluded_packet<S: Simd>(&self, simd: S, packet: &mut Packet) {
-        (self.tree).traverse_packet(
+        (self.tree).traverse_packet::<FARTHEST_FIRST, S>(
             simd,
             packet,
             #[inline(always)]
@@ -89,7 +89,7 @@ impl Triangles {
         packet: &mut Packet,
         hits: &mut PacketHits,
     ) {
-        (self.tree).traverse_packet(
+        (self.tree).traverse_packet::<NEAREST_FIRST, S>(
             simd,
             packet,
             #[inline(always)]

@@ -194,10 +194,10 @@ struct Entry {
 }
 
 impl Wide {
-    /// Calls `leaf` with the rays that may meet it, nearest boxes first. `leaf` may take rays out of
+    /// Calls `leaf` with the rays that may meet it, the children of a node in `ORDER`. `leaf` may take rays out of
     /// [`Packet::active`] and shorten them.
     #[inline(always)]
-    pub(in crate::trace) fn traverse_packet<S: Simd>(
+    pub(in crate::trace) fn traverse_packet<const ORDER: bool, S: Simd>(
         &self,
         simd: S,
         packet: &mut Packet,
@@ -230,7 +230,7 @@ impl Wide {
             for child in 0..WIDTH {
                 if inside[child] != 0 {
                     let mut at = top;
-                    while at > first && stack[at - 1].near < near[child] {
+                    while at > first && (stack[at - 1].near < near[child]) == ORDER {
                         stack[at] = stack[at - 1];
                         at -= 1;
                     }
