@@ -8,9 +8,11 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f64x4, f64x8};
 
 /// Up to this many rays of a leaf are tested against four triangles at a time, more with a triangle after the other.
-const FEW: u32 = 8;
-/// The same for closest hits, where every hit of the four has to be looked at.
-const FEW_CLOSEST: u32 = 4;
+/// Occlusion on the bunny: 3, 8, 16, 32, all rays take 80, 72, 69, 67, 67 ns a ray; three boxes of 36 triangles, whose
+/// leaves are met by whole packets: 32, all rays 12, 13 ns.
+const FEW: u32 = 32;
+/// The same for closest hits: 2, 4, 8, 24, all rays take 129, 119, 106, 102, 101 ns; the three boxes 23 or 26 ns.
+const FEW_CLOSEST: u32 = 24;
 /// Rays that are tested against a triangle at a time.
 const RAYS: usize = 8;
 
