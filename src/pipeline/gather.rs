@@ -131,6 +131,9 @@ pub(super) fn gather(
             let results = see(&stand, scene, ("maps", &method, reference), run)?;
             method.record(&stand, report);
             found.look_back(&results, report);
+            if method.is_redone() {
+                found.choice.keep_from_maps(aovs, report);
+            }
             results
         }
     };
@@ -237,8 +240,7 @@ impl<'a> Stand<'a> {
         let handed_over = self.rays_settings(knobs.handed_over);
         let handed_over = RaysEngine::new(&self.world.tracer, None, handed_over);
         let others = self.rays_with(self.rays_settings(knobs.others));
-        let map = (self.maps_plan(), knobs.settings);
-        MapsMethod::new(map, handed_over, others, promise)
+        MapsMethod::new((self.maps_plan(), knobs), handed_over, others, promise)
     }
 
     /// What maps draw, looked at when first asked for.
