@@ -105,10 +105,14 @@ impl<'a> Cluster<'a> {
 }
 
 /// Irradiance of `look.lights` on one side of a cluster, the mean over some of its triangles.
-pub(super) fn mean_light(look: &Look<'_>, side: &Side<'_>, members: &[u32]) -> Vec3 {
+pub(super) fn mean_light(
+    look: &Look<'_>,
+    side: &Side<'_>,
+    (members, places): (&[u32], usize),
+) -> Vec3 {
     samples(side.world, members, LIGHT_SAMPLES)
         .zip(whole_number(members[0])..)
-        .map(|((t, share, _), number)| share * (look.lights)(&side.middle(t), number))
+        .map(|((t, share, _), number)| share * (look.lights)(&side.middle(t), (number, places)))
         .sum()
 }
 

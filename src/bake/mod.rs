@@ -23,7 +23,8 @@ use blocks::{Block, BlockColumns, front};
 use cluster::{Cluster, mean_light};
 use glam::Vec3;
 use light::{
-    Look, Side, Steepness, glance_number, looked_at_again, plane_normal, quartered, whole_number,
+    Look, STEEP_PLACES, Side, Steepness, glance_number, looked_at_again, plane_normal, quartered,
+    whole_number,
 };
 use rayon::prelude::*;
 use std::f32::consts::PI;
@@ -71,8 +72,7 @@ pub fn bake(
     let lighting = lighting.for_surfels();
     let look = Look {
         surface: &|point| shader.surface(point),
-        lights: &|point, number| lighting.lights(tracer, point, number),
-        glance: &|point, number| lighting.glance(tracer, point, number),
+        lights: &|point, places| lighting.lights(tracer, point, places),
         wide: &|points| lighting.wide(shader, tracer, points),
     };
     bake_with(shader.scene(), &look, settings, diagnostics)
@@ -214,7 +214,7 @@ struct Shaded {
     normal: Vec3,
     radius: f32,
     area: f32,
-    /// For [`Look::glance`].
+    /// Of the first place for [`Look::lights`].
     number: usize,
     surface: Surface,
 }
@@ -295,7 +295,7 @@ impl BlockColumns<'_> {
         self.prim[i] = side.prim.0;
         self.radiosity[i] = self.emission[i];
         if cell.surface.albedo != Vec3::ZERO {
-            self.lights[i] = (look.glance)(&cell.point, cell.number);
+            self.lights[i] = (look.lights)(&cell.point, (cell.number, 1));
         }
     }
 }
@@ -380,8 +380,11 @@ impl Baking<'_> {
                 let is_steep =
                     albedo[cell] != Vec3::ZERO && steepness.at_triangles(&world, members);
                 let is_dark = center[cell] == Vec3::ZERO && albedo[cell] != Vec3::ZERO;
-                let irradiance = if is_steep || is_dark {
-                    mean_light(self.look, &side, members)
+                let irradiance = if is_steep {
+                    mean_light(self.look, &side, (members, STEEP_PLACES))
+                } else if is_dark {
+                    // Its triangles are several places of their own.
+                    mean_light(self.look, &side, (members, 1))
                 } else {
                     center[cell]
                 };

@@ -113,7 +113,6 @@ fn bake_lit(
     let look = Look {
         surface: &|_| GRAY,
         lights: &|point, _| lights(point),
-        glance: &|point, _| lights(point),
         wide: &|points| vec![Vec3::ZERO; points.len()],
     };
     bake_with(scene, &look, &settings, &Diagnostics::default()).unwrap()
@@ -323,7 +322,6 @@ fn a_cancelled_bake_ends() {
     let look = Look {
         surface: &|_| GRAY,
         lights: &|_, _| Vec3::ZERO,
-        glance: &|_, _| Vec3::ZERO,
         wide: &|points| vec![Vec3::ZERO; points.len()],
     };
     let scene = scene(vec![(floor(1), Affine3A::IDENTITY)]);
@@ -538,7 +536,6 @@ fn clusters_reflect_and_emit_what_their_triangles_do() {
         let look = Look {
             surface: &surface,
             lights: &|point, _| lights(point),
-            glance: &|point, _| lights(point),
             wide: &|points| {
                 points
                     .iter()

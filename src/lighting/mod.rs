@@ -331,18 +331,11 @@ fn in_blocks(
 pub struct SurfelLighting<'a>(&'a Lighting);
 
 impl SurfelLighting<'_> {
-    /// Irradiance from all UsdLux lights but domes by four rays a light, to places spread over it that `number` chooses, and
-    /// others by the next three numbers: in the mean over these sixteen, and so over many surfels, the truth.
-    pub fn lights(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
+    /// Irradiance from all UsdLux lights but domes by rays to places spread over each, from the number
+    /// `places.0` on and `places.1` many: exact out of penumbrae, and in the mean over all numbers the truth.
+    pub fn lights(&self, tracer: &Tracer, point: &ShadePoint, places: (usize, usize)) -> Vec3 {
         let stand = Stand::new(tracer, point);
-        self.0.glance_by(&self.0.coarse, &stand, (number, 4))
-    }
-
-    /// The same with one ray a light, to a place on it that `number` chooses: exact out of penumbrae; in them either
-    /// nothing or all of the light, and in the mean over all numbers the truth.
-    pub fn glance(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
-        let stand = Stand::new(tracer, point);
-        self.0.glance_by(&self.0.coarse, &stand, (number, 1))
+        self.0.glance_by(&self.0.coarse, &stand, places)
     }
 
     /// Irradiance from dome lights and emissive surfaces at each of `points`; faster where neighbors follow each other.
