@@ -22,7 +22,9 @@ use crate::trace::Tracer;
 use blocks::{Block, BlockColumns, front};
 use cluster::{Cluster, mean_light};
 use glam::Vec3;
-use light::{Look, Side, Steepness, glance_number, plane_normal, quartered, whole_number};
+use light::{
+    Look, Side, Steepness, glance_number, looked_at_again, plane_normal, quartered, whole_number,
+};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
@@ -69,7 +71,7 @@ pub fn bake(
     let lighting = lighting.for_surfels();
     let look = Look {
         surface: &|point| shader.surface(point),
-        lights: &|point| lighting.lights(tracer, point),
+        lights: &|point, number| lighting.lights(tracer, point, number),
         glance: &|point, number| lighting.glance(tracer, point, number),
         wide: &|points| lighting.wide(shader, tracer, points),
     };
@@ -339,9 +341,6 @@ impl Baking<'_> {
         let (table, surfels) = (dice.table(), dice.surfels(back));
         let surfels = surfels.start as usize..surfels.end as usize;
         let (center, albedo) = (&self.lights[surfels.clone()], &albedo[surfels]);
-        if center.iter().all(|light| *light == Vec3::ZERO) {
-            return Ok(());
-        }
         let world = PlacedMesh::of(self.scene, prim);
         let side = Side {
             world: &world,
@@ -367,6 +366,8 @@ impl Baking<'_> {
                         };
                     let irradiance = if is_steep {
                         quartered(self.look, &side, t, part, (row, column))
+                    } else if center[cell] == Vec3::ZERO && albedo[cell] != Vec3::ZERO {
+                        looked_at_again(self.look, &side, t, part, (row, column))
                     } else {
                         center[cell]
                     };
@@ -378,7 +379,8 @@ impl Baking<'_> {
                 let (members, cell) = (table.members(cell), cell as usize);
                 let is_steep =
                     albedo[cell] != Vec3::ZERO && steepness.at_triangles(&world, members);
-                let irradiance = if is_steep {
+                let is_dark = center[cell] == Vec3::ZERO && albedo[cell] != Vec3::ZERO;
+                let irradiance = if is_steep || is_dark {
                     mean_light(self.look, &side, members)
                 } else {
                     center[cell]

@@ -2,9 +2,9 @@
 //!
 //! An [`Engine`] fills a [`Hemisphere`] for every receiver; the [`quantities`] read all AOVs off it in one pass.
 
+mod at_hits;
 mod environment;
 pub mod estimate;
-mod near;
 mod neighbors;
 pub mod quantities;
 pub mod radiance;
@@ -13,8 +13,8 @@ pub mod rays;
 #[cfg(test)]
 mod testing;
 
+pub use at_hits::HitLight;
 pub use estimate::{ErrorEstimate, Reference, estimate};
-pub use near::NearLight;
 pub use radiance::{LoadedCloud, RadianceSource};
 pub use raster::{RasterEngine, RasterSettings};
 pub use rays::{RaysEngine, RaysFactory, RaysSettings};

@@ -1,6 +1,6 @@
 //! Where rays read the radiance of what they hit: the surfels. Shading is never evaluated at a hit.
 
-use super::near::NearLight;
+use super::at_hits::HitLight;
 use crate::surfels::{DiceMap, NearestMap, SurfelCloud};
 use crate::trace::Hit;
 use glam::{DVec3, Vec3};
@@ -61,9 +61,11 @@ pub enum RadianceSource<'a> {
         cloud: &'a SurfelCloud,
         /// Which of them covers which part of a triangle.
         dice: &'a DiceMap,
-        /// Light in gaps that surfels are too coarse for; `None`: surfels tell it all. It knows no bounces.
-        near: Option<NearLight<'a>>,
+        /// Light of hits too near for surfels; `None`: surfels tell it all. It knows no bounces.
+        near: Option<HitLight<'a>>,
     },
+    /// No surfels: every hit is lit anew.
+    AtHits(HitLight<'a>),
     /// Clouds from elsewhere, found by place; their light adds up (light groups).
     Loaded(Vec<LoadedCloud<'a>>),
 }
@@ -78,15 +80,15 @@ impl RadianceSource<'_> {
                     return Outgoing::BLACK;
                 };
                 let of_surfel = Outgoing::of_surfel(cloud, i);
-                let position = origin + direction * hit.distance;
-                let reflected = near
-                    .as_ref()
-                    .and_then(|near| near.reflected((cloud, i as usize), hit, position));
+                let near = near.filter(|_| HitLight::is_near(hit, cloud.radius[i as usize]));
+                let reflected =
+                    near.map(|hits| hits.reflected(hit, origin + direction * hit.distance));
                 Outgoing {
                     reflected: reflected.unwrap_or(of_surfel.reflected),
                     ..of_surfel
                 }
             }
+            Self::AtHits(light) => light.radiance(hit, origin + direction * hit.distance),
             Self::Loaded(clouds) => {
                 let position = origin + direction * hit.distance;
                 clouds.iter().fold(Outgoing::BLACK, |sum, loaded| {

@@ -275,6 +275,20 @@ impl Lighting {
         self.emitters_by(&self.fine, shader, &Stand::new(tracer, point))
     }
 
+    /// Irradiance from all lights and domes by one ray a light and a few to the sky, which `number` chooses: in the mean
+    /// over all numbers the truth. Emissive surfaces are left out.
+    pub fn glimpse(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
+        let stand = Stand::new(tracer, point);
+        let sky = environment::glimpse(self.fine.sky.cells(), &stand, number);
+        self.glance_by(&self.fine, &stand, (number, 1)) + sky
+    }
+
+    fn glance_by(&self, detail: &Detail, stand: &Stand<'_>, places: (usize, usize)) -> Vec3 {
+        (self.lights.iter())
+            .map(|light| light.glance(&detail.lights, stand, places))
+            .sum()
+    }
+
     fn lights_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
         let stand = Stand::new(tracer, point);
         (self.lights.iter())
@@ -317,29 +331,18 @@ fn in_blocks(
 pub struct SurfelLighting<'a>(&'a Lighting);
 
 impl SurfelLighting<'_> {
-    /// Irradiance from all UsdLux lights but domes.
-    pub fn lights(&self, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        self.0.lights_by(&self.0.coarse, tracer, point)
+    /// Irradiance from all UsdLux lights but domes by four rays a light, to places spread over it that `number` chooses, and
+    /// others by the next three numbers: in the mean over these sixteen, and so over many surfels, the truth.
+    pub fn lights(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
+        let stand = Stand::new(tracer, point);
+        self.0.glance_by(&self.0.coarse, &stand, (number, 4))
     }
 
     /// The same with one ray a light, to a place on it that `number` chooses: exact out of penumbrae; in them either
     /// nothing or all of the light, and in the mean over all numbers the truth.
     pub fn glance(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
-        self.glance_from(&Stand::new(tracer, point), number)
-    }
-
-    fn glance_from(&self, stand: &Stand<'_>, number: usize) -> Vec3 {
-        (self.0.lights.iter())
-            .map(|light| light.glance(&self.0.coarse.lights, stand, number))
-            .sum()
-    }
-
-    /// Irradiance from all lights and domes by one ray a light and a few to the sky, which `number` chooses: in the mean
-    /// over all numbers the truth. Emissive surfaces are left out.
-    pub fn glimpse(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
         let stand = Stand::new(tracer, point);
-        let cells = self.0.coarse.sky.cells();
-        self.glance_from(&stand, number) + environment::glimpse(cells, &stand, number)
+        self.0.glance_by(&self.0.coarse, &stand, (number, 1))
     }
 
     /// Irradiance from dome lights and emissive surfaces at each of `points`; faster where neighbors follow each other.

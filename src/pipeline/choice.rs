@@ -45,6 +45,7 @@ impl Choice {
                     },
                     handed_over: job.rays,
                     others: job.rays,
+                    is_broken: false,
                 }),
             },
             light_scale: 1,
@@ -65,11 +66,26 @@ impl Choice {
                 settings,
                 handed_over,
                 others: others.unwrap_or(FEWEST_RAYS),
+                is_broken: false,
             }),
         };
         Self {
             engine,
             light_scale: outcome.light_scale,
+        }
+    }
+
+    /// Let rays see for maps at the frames to come, as they had to at this one: what engines differ by would be seen as a
+    /// change of the scene.
+    pub(super) fn keep_from_maps(self, aovs: &[Aov], report: &mut Report) {
+        if let Chosen::Maps(knobs) = self.engine {
+            let engine = Chosen::Maps(MapsKnobs {
+                is_broken: true,
+                ..knobs
+            });
+            report
+                .choices
+                .insert(aovs.to_vec(), Self { engine, ..self });
         }
     }
 

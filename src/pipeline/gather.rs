@@ -13,7 +13,7 @@ use crate::diagnostics::Diagnostics;
 use crate::gather::maps::MapsPlan;
 use crate::gather::paper::{PaperEngine, PaperSettings};
 use crate::gather::{
-    self, GatherScene, LoadedCloud, NearLight, RadianceSource, RaysEngine, RaysFactory,
+    self, GatherScene, HitLight, LoadedCloud, RadianceSource, RaysEngine, RaysFactory,
     RaysSettings, Reference,
 };
 use crate::lighting::{LightSamples, Lighting};
@@ -22,7 +22,7 @@ use crate::pilot::Method;
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use crate::stage::cloud;
-use crate::surfels::SurfelCloud;
+use crate::surfels::{DiceMap, SurfelCloud};
 use std::cell::OnceCell;
 
 /// The surfels that shine.
@@ -56,7 +56,7 @@ impl Light {
                 cloud: &baked.cloud,
                 dice: &baked.dice,
                 near: (bounces <= 1)
-                    .then(|| NearLight::new(&world.tracer, &world.lighting))
+                    .then(|| hit_light(world, &world.lighting, &baked.dice))
                     .flatten(),
             }),
             Self::Loaded(clouds) => Some(RadianceSource::Loaded(
@@ -67,6 +67,14 @@ impl Light {
             )),
         }
     }
+}
+
+fn hit_light<'a>(
+    world: &'a World<'_>,
+    lighting: &'a Lighting,
+    dice: &'a DiceMap,
+) -> Option<HitLight<'a>> {
+    HitLight::new(world.shader, &world.tracer, lighting, dice)
 }
 
 /// Compute `aovs` at `receivers`.
@@ -123,6 +131,9 @@ pub(super) fn gather(
             let results = see(&stand, scene, ("maps", &method, reference), run)?;
             method.record(&stand, report);
             found.look_back(&results, report);
+            if method.is_redone() {
+                found.choice.keep_from_maps(aovs, report);
+            }
             results
         }
     };
@@ -193,6 +204,23 @@ impl<'a> Stand<'a> {
         RaysEngine::new(&self.world.tracer, self.source.clone(), settings)
     }
 
+    /// Rays that find light anew at whatever they hit: truth for one reflection, but for noise. `None` where a few rays
+    /// can't light a place.
+    pub(super) fn rays_lit_at_hits<'s>(
+        &'s self,
+        lighting: &'s Lighting,
+        settings: RaysSettings,
+    ) -> Option<RaysEngine<'s>> {
+        let Light::Baked(baked) = self.light else {
+            return None;
+        };
+        let hits = (self.job.bounces == 1)
+            .then(|| hit_light(self.world, lighting, &baked.dice))
+            .flatten()?;
+        let source = Some(RadianceSource::AtHits(hits));
+        Some(RaysEngine::new(&self.world.tracer, source, settings))
+    }
+
     /// The paper's engine with these knobs: solid angle and resolution. Builds the octree if nobody has.
     pub(super) fn paper(
         &self,
@@ -212,8 +240,7 @@ impl<'a> Stand<'a> {
         let handed_over = self.rays_settings(knobs.handed_over);
         let handed_over = RaysEngine::new(&self.world.tracer, None, handed_over);
         let others = self.rays_with(self.rays_settings(knobs.others));
-        let map = (self.maps_plan(), knobs.settings);
-        MapsMethod::new(map, handed_over, others, promise)
+        MapsMethod::new((self.maps_plan(), knobs), handed_over, others, promise)
     }
 
     /// What maps draw, looked at when first asked for.

@@ -27,6 +27,8 @@ pub(super) struct MapsKnobs {
     pub(super) handed_over: u32,
     /// Rays for other AOVs.
     pub(super) others: u32,
+    /// True once maps have broken their promise at an earlier frame: rays then see for them.
+    pub(super) is_broken: bool,
 }
 
 /// Gathers by maps and rays.
@@ -53,19 +55,19 @@ impl<'a> MapsMethod<'a> {
     /// With a promise, rays compute again what maps computed where these break it; receivers are then those of the
     /// whole run.
     pub(super) fn new(
-        (plan, settings): (&'a MapsPlan<'a>, MapsSettings),
+        (plan, knobs): (&'a MapsPlan<'a>, &MapsKnobs),
         handed_over: RaysEngine<'a>,
         others: RaysEngine<'a>,
         promise: Option<Promise>,
     ) -> Self {
         Self {
             plan,
-            settings,
+            settings: knobs.settings,
             handed_over,
             handed_over_count: AtomicUsize::new(0),
             others,
             promise,
-            is_redone: AtomicBool::new(false),
+            is_redone: AtomicBool::new(knobs.is_broken),
         }
     }
 
@@ -99,6 +101,9 @@ impl<'a> MapsMethod<'a> {
         (receivers, aovs): (&Receivers, &[Aov]),
         diagnostics: &Diagnostics,
     ) -> Result<Results, Cancelled> {
+        if self.is_redone() {
+            return gather::gather(scene, &self.handed_over, receivers, aovs, diagnostics);
+        }
         let mut count = 0;
         let mut by_rays = |few: &Receivers, aovs: &[Aov]| {
             count += few.len();

@@ -11,7 +11,7 @@ use super::world::{Needs, World, with_world};
 use super::{Error, outputs};
 use crate::diagnostics::Diagnostics;
 use crate::gather::estimate::spread;
-use crate::gather::{GatherScene, RaysSettings};
+use crate::gather::{GatherScene, RaysEngine, RaysSettings};
 use crate::lighting::{LightSamples, Lighting};
 use crate::pilot::Method;
 use crate::pilot::clock::Clock;
@@ -33,7 +33,7 @@ use subjects::{Swept, auto};
 const TOLERANCES: [f64; 3] = [0.05, 0.02, 0.01];
 
 /// Pixels across of the camera's set; the height follows the aperture.
-const SET_WIDTH: u32 = 128;
+const SET_WIDTH: u32 = 512;
 
 /// Pixels across of pictures of errors: their truth takes a few thousand rays a pixel.
 const PICTURE_WIDTH: u32 = 64;
@@ -293,7 +293,9 @@ impl Arena<'_> {
                 turn,
                 ..truth.rays_settings(self.job.truth_rays)
             };
-            Box::new(truth.rays_with(settings)) as Box<dyn Method + 's>
+            let exact = truth.rays_lit_at_hits(self.finer, settings);
+            let engine: RaysEngine<'s> = exact.unwrap_or_else(|| truth.rays_with(settings));
+            Box::new(engine) as Box<dyn Method + 's>
         };
         let swept = Swept {
             world: self.world,

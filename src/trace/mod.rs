@@ -17,7 +17,7 @@ use glam::{Affine3A, Vec3};
 use ray::Ray;
 use rayon::prelude::*;
 use triangles::{LocalHit, Triangles};
-use wide::{Item, LEAF_SIZE, Leaf, Wide};
+use wide::{FARTHEST_FIRST, Item, LEAF_SIZE, Leaf, NEAREST_FIRST, Wide};
 
 /// Where a ray meets the scene first.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,7 +72,7 @@ struct Occurrence {
 /// Lifting height over the magnitude of the coordinates: 8 times the rounding of a position that was interpolated
 /// or transformed, 50 times below a contact of 1e-4 of the scene.
 const LIFT: f32 = 16.0 * f32::EPSILON;
-/// Edge functions of triangles that span the scene are rounded relative to the scene, wherever the position is.
+/// Positions on triangles that span the scene are rounded relative to its corners, wherever they are.
 const SCENE_SHARE: f32 = 0.25;
 
 impl Tracer {
@@ -129,7 +129,7 @@ impl Tracer {
     ) -> Option<Hit> {
         let mut ray = Ray::new(origin, direction, max_distance)?;
         let mut best = self.world.closest(simd, &mut ray);
-        self.top.traverse(
+        self.top.traverse::<NEAREST_FIRST, S>(
             simd,
             &mut ray,
             #[inline(always)]
@@ -164,7 +164,7 @@ impl Tracer {
             return true;
         }
         let mut hit = false;
-        self.top.traverse(
+        self.top.traverse::<FARTHEST_FIRST, S>(
             simd,
             &mut ray,
             #[inline(always)]

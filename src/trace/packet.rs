@@ -2,7 +2,9 @@
 
 use super::ray::Line;
 use super::triangles::PacketHits;
-use super::wide::{Column, LANES, PACKET_SIZE, Packet, ROWS, load, row_of};
+use super::wide::{
+    Column, FARTHEST_FIRST, LANES, NEAREST_FIRST, PACKET_SIZE, Packet, ROWS, load, row_of,
+};
 use super::{Hit, Occurrence, Tracer};
 use crate::math::bits::bits_of;
 use fearless_simd::prelude::*;
@@ -61,7 +63,7 @@ impl Tracer {
         let (origins, packet) = (&query.origins, &mut query.packet);
         let asked = packet.active;
         self.world.triangles.occluded_packet(simd, packet);
-        (self.top).traverse_packet(
+        (self.top).traverse_packet::<FARTHEST_FIRST, S>(
             simd,
             packet,
             #[inline(always)]
@@ -89,7 +91,7 @@ impl Tracer {
         for i in bits_of(found.found) {
             hits[i] = Some(self.world.resolve(found.get(packet, i)));
         }
-        (self.top).traverse_packet(
+        (self.top).traverse_packet::<NEAREST_FIRST, S>(
             simd,
             packet,
             #[inline(always)]

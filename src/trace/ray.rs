@@ -1,8 +1,8 @@
 //! A direction and a ray along it: what boxes and triangles need of them, computed once.
 //!
 //! Boxes take distances along the three axes. Triangles are sheared: the axis in which the direction is longest stays,
-//! the other two slide so that the direction becomes that axis, and rays are points in two coordinates. Corners and
-//! origins are rounded relative to themselves then, which is no more than the rounding they came with.
+//! the other two slide so that the direction becomes that axis, and rays are points in two coordinates: of corners and
+//! origins in `f64`, whose rounding is a billionth of that they came with.
 
 use glam::Vec3;
 
@@ -18,22 +18,21 @@ pub(super) struct Line {
     /// against the direction counter-clockwise.
     pub(super) axes: [usize; 3],
     /// Depth is the coordinate of the longest axis times this, 1 or −1, so that it grows along the direction.
-    pub(super) sign: f32,
+    pub(super) sign: f64,
     /// The lesser coordinates of the direction for a unit of depth, −1…1.
-    pub(super) slope: [f32; 2],
+    pub(super) slope: [f64; 2],
     /// Distance for a unit of depth.
-    pub(super) scale: f32,
+    pub(super) scale: f64,
 }
 
 /// A component below this part of the longest one cannot cross a box in a lifetime of floats; it stands in for 0, whose
 /// inverse would make `0 · ∞`.
 const LEAST_COMPONENT: f32 = 1e-18;
 
-/// Of the largest coordinate of an origin: what boxes are too large for the roundings of its distances to them and of
-/// its sheared place, 1.5 ε each.
+/// Of the largest coordinate of an origin: what boxes are too large for the roundings of its distances to them, 1.5 ε.
 pub(super) const ORIGIN_MARGIN: f32 = 4.0 * f32::EPSILON;
 
-/// Nine roundings lie between a corner and the distance of a hit and three in that of a box, half of ε each.
+/// One rounding lies between a corner and the distance of a hit and three in that of a box, half of ε each.
 pub(super) const FAR_MARGIN: f32 = 1.0 + 8.0 * f32::EPSILON;
 
 impl Line {
@@ -57,6 +56,7 @@ impl Line {
                 d
             }
         };
+        let unit = 1.0 / f64::from(longest);
         Some(Self {
             direction,
             inverse: direction.to_array().map(inverse),
@@ -64,16 +64,21 @@ impl Line {
                 .to_array()
                 .map(|d| usize::from(d.is_sign_negative())),
             axes: [x, y, z],
-            sign: 1.0_f32.copysign(direction[z]),
-            slope: [direction[x] / longest, direction[y] / longest],
-            scale: 1.0 / longest,
+            sign: 1.0_f64.copysign(direction[z].into()),
+            slope: [x, y].map(|axis| f64::from(direction[axis]) * unit),
+            scale: unit,
         })
     }
 
     /// Sheared coordinates and depth of `point`.
     #[inline(always)]
-    pub(super) fn place(&self, point: Vec3) -> [f32; 3] {
-        let [x, y, z] = self.axes.map(|axis| point[axis]);
+    pub(super) fn place(&self, point: [f32; 3]) -> [f64; 3] {
+        let [kx, ky, kz] = self.axes;
+        let (x, y, z) = (
+            f64::from(point[kx]),
+            f64::from(point[ky]),
+            f64::from(point[kz]),
+        );
         let depth = self.sign * z;
         [x - self.slope[0] * depth, y - self.slope[1] * depth, depth]
     }
@@ -88,7 +93,7 @@ pub(super) struct Ray {
     pub(super) enter: [f32; 3],
     pub(super) leave: [f32; 3],
     /// The origin, sheared.
-    pub(super) place: [f32; 3],
+    pub(super) place: [f64; 3],
     /// Hits beyond this distance do not count.
     pub(super) max_distance: f32,
     /// Of hits at `max_distance` those of triangles before this one count: ties are independent of the order of search.
@@ -115,7 +120,7 @@ impl Ray {
             origin,
             enter,
             leave,
-            place: line.place(origin),
+            place: line.place(origin.to_array()),
             max_distance: max_distance.min(f32::MAX),
             before: 0,
         })

@@ -1,5 +1,7 @@
 //! The tracer against brute force in `f64`, flattened instances, closed boxes and extreme scales.
 
+mod fans;
+
 use super::testing::{Random, mesh, scene};
 use super::*;
 use glam::Mat3;

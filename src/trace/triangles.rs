@@ -4,17 +4,24 @@
 //! is taken off, so that rays of one direction share the shear: a corner has one place along a direction, for all
 //! triangles that meet there and for all rays. A rounded edge function can be zero where the exact one is not, but never
 //! has the wrong sign, and zero counts as inside: no ray slips through a shared edge or vertex.
+//!
+//! All of it is in `f64`: in `f32` the places would be rounded relative to the scene's origin, as coarsely as
+//! [`super::Tracer::lift`] lifts, and faces around a receiver that its rays pass edge-on would hide what they do not. Four
+//! doubles fill a register, so that four triangles take as long as in `f32`.
 
 mod packet;
 
 use super::ray::{Line, Ray};
-use super::wide::{Item, LEAF_SIZE, Wide};
+use super::wide::{FARTHEST_FIRST, Item, LEAF_SIZE, NEAREST_FIRST, Wide};
 use crate::math::Bounds3;
-use fearless_simd::Simd;
+use crate::math::bits::bits_of;
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, f32x8, f64x4};
 use glam::Vec3;
 pub(super) use packet::PacketHits;
+use std::ops::Deref;
 
-/// Boxes grow by this part of the largest coordinate, more than the roundings of a sheared corner and of its box.
+/// Boxes grow by this part of the largest coordinate, more than the roundings of their distances.
 const BOX_MARGIN: f32 = 8.0 * f32::EPSILON;
 
 /// Up to four triangles of one leaf; unused lanes are NaN and never hit.
@@ -81,18 +88,20 @@ impl Triangles {
     #[inline(always)]
     pub(super) fn closest<S: Simd>(&self, simd: S, ray: &mut Ray) -> Option<LocalHit> {
         let mut best = None;
-        self.tree.traverse(
+        self.tree.traverse::<NEAREST_FIRST, S>(
             simd,
             ray,
             #[inline(always)]
             |leaf, ray| {
-                let sheared = self.blocks[leaf.block].sheared(&ray.line);
-                let lanes = sheared.intersect(ray.place, ray.line.scale);
+                let sheared = self.blocks[leaf.block].sheared(simd, &ray.line);
+                let Some(lanes) = sheared.meet(simd, ray.place, ray.line.scale) else {
+                    return false;
+                };
                 let first = leaf.block * LEAF_SIZE;
                 let indices = &self.tree.order[first..first + leaf.count];
-                if let Some(lane) = lanes.first(indices, (ray.max_distance, ray.before)) {
-                    (ray.max_distance, ray.before) = (lanes.distance[lane], indices[lane]);
-                    best = Some(lanes.local_hit(lane, indices[lane]));
+                if let Some(hit) = lanes.first(indices, (ray.max_distance, ray.before)) {
+                    (ray.max_distance, ray.before) = (hit.distance, hit.triangle);
+                    best = Some(hit);
                 }
                 false
             },
@@ -104,16 +113,14 @@ impl Triangles {
     #[inline(always)]
     pub(super) fn occluded<S: Simd>(&self, simd: S, ray: &mut Ray) -> bool {
         let mut hit = false;
-        self.tree.traverse(
+        self.tree.traverse::<FARTHEST_FIRST, S>(
             simd,
             ray,
             #[inline(always)]
             |leaf, ray| {
-                let sheared = self.blocks[leaf.block].sheared(&ray.line);
-                let lanes = sheared.intersect(ray.place, ray.line.scale);
-                for lane in 0..LEAF_SIZE {
-                    hit |= lanes.hit[lane] & (lanes.distance[lane] < ray.max_distance);
-                }
+                let sheared = self.blocks[leaf.block].sheared(simd, &ray.line);
+                let lanes = sheared.meet(simd, ray.place, ray.line.scale);
+                hit = lanes.is_some_and(|lanes| lanes.any_before(ray.max_distance));
                 hit
             },
         );
@@ -126,21 +133,11 @@ impl Triangles {
     }
 }
 
-/// Triangles along a direction: `[corner][lane]`.
-struct Sheared {
-    x: [[f32; LEAF_SIZE]; 3],
-    y: [[f32; LEAF_SIZE]; 3],
-    depth: [[f32; LEAF_SIZE]; 3],
-}
-
-/// Edge functions (unnormalised weights of corners 1 and 2), the sum of all three, and the distance, a lane each.
-struct Lanes {
-    v: [f32; LEAF_SIZE],
-    w: [f32; LEAF_SIZE],
-    sum: [f32; LEAF_SIZE],
-    distance: [f32; LEAF_SIZE],
-    /// In front of the ray, at whatever distance.
-    hit: [bool; LEAF_SIZE],
+/// Triangles along a direction, `[corner]`.
+struct Sheared<S: Simd> {
+    x: [f64x4<S>; 3],
+    y: [f64x4<S>; 3],
+    depth: [f64x4<S>; 3],
 }
 
 impl Block {
@@ -160,97 +157,173 @@ impl Block {
     }
 
     #[inline(always)]
-    fn sheared(&self, line: &Line) -> Sheared {
+    fn sheared<S: Simd>(&self, simd: S, line: &Line) -> Sheared<S> {
         let [kx, ky, kz] = line.axes;
-        let mut all = Sheared {
-            x: [[0.0; LEAF_SIZE]; 3],
-            y: [[0.0; LEAF_SIZE]; 3],
-            depth: [[0.0; LEAF_SIZE]; 3],
-        };
+        let zero = f64x4::splat(simd, 0.0);
+        let (mut x, mut y, mut depth) = ([zero; 3], [zero; 3], [zero; 3]);
         for (corner, place) in self.corners.iter().enumerate() {
-            for (lane, &z) in place[kz].iter().enumerate() {
-                let depth = line.sign * z;
-                all.x[corner][lane] = place[kx][lane] - line.slope[0] * depth;
-                all.y[corner][lane] = place[ky][lane] - line.slope[1] * depth;
-                all.depth[corner][lane] = depth;
-            }
+            depth[corner] = doubled(simd, &place[kz]) * line.sign;
+            x[corner] = doubled(simd, &place[kx]) - depth[corner] * line.slope[0];
+            y[corner] = doubled(simd, &place[ky]) - depth[corner] * line.slope[1];
         }
-        all
+        Sheared { x, y, depth }
     }
 }
 
-impl Sheared {
-    /// The scalar definition of the test; `packet` has its twin.
+impl<S: Simd> Sheared<S> {
+    /// The triangles against the ray from `place`; `None` if it meets none.
     #[inline(always)]
-    fn intersect(&self, place: [f32; 3], scale: f32) -> Lanes {
-        let mut lanes = Lanes {
-            v: [0.0; LEAF_SIZE],
-            w: [0.0; LEAF_SIZE],
-            sum: [0.0; LEAF_SIZE],
-            distance: [0.0; LEAF_SIZE],
-            hit: [false; LEAF_SIZE],
-        };
-        let [px, py, depth] = place;
-        for i in 0..LEAF_SIZE {
-            let x = [self.x[0][i] - px, self.x[1][i] - px, self.x[2][i] - px];
-            let y = [self.y[0][i] - py, self.y[1][i] - py, self.y[2][i] - py];
-            let z = [
-                self.depth[0][i] - depth,
-                self.depth[1][i] - depth,
-                self.depth[2][i] - depth,
-            ];
-            let u = x[2] * y[1] - y[2] * x[1];
-            let v = x[0] * y[2] - y[0] * x[2];
-            let w = x[1] * y[0] - y[1] * x[0];
-            let sum = u + v + w;
-            let distance = (u * z[0] + v * z[1] + w * z[2]) * scale / sum;
-            let inside =
-                (u >= 0.0) & (v >= 0.0) & (w >= 0.0) | (u <= 0.0) & (v <= 0.0) & (w <= 0.0);
-            lanes.v[i] = v;
-            lanes.w[i] = w;
-            lanes.sum[i] = sum;
-            lanes.distance[i] = distance;
-            lanes.hit[i] = inside & (distance > 0.0);
-        }
-        lanes
+    fn meet(&self, simd: S, place: [f64; 3], scale: f64) -> Option<Lanes<S>> {
+        let sides = (less(&self.x, place[0]), less(&self.y, place[1]));
+        let met = Met::of(
+            simd,
+            sides,
+            #[inline(always)]
+            || less(&self.depth, place[2]),
+            scale,
+        )?;
+        Some(Lanes {
+            distance: simd.narrow_f64x4(met.distance, met.distance),
+            met,
+        })
     }
 }
 
-impl Lanes {
-    /// The lane of the first hit that counts for a ray that ends at `end`: a distance, and a triangle at that distance.
-    #[inline(always)]
-    fn first(&self, indices: &[u32], mut end: (f32, u32)) -> Option<usize> {
-        let mut best = None;
-        for (lane, &index) in indices.iter().enumerate() {
-            let distance = self.distance[lane];
-            let is_nearer = distance < end.0 || distance == end.0 && index < end.1;
-            if self.hit[lane] && is_nearer {
-                end = (distance, index);
-                best = Some(lane);
-            }
-        }
-        best
-    }
+#[inline(always)]
+fn doubled<S: Simd>(simd: S, numbers: &[f32; LEAF_SIZE]) -> f64x4<S> {
+    let [a, b, c, d] = *numbers;
+    f64x4::simd_from(simd, [a.into(), b.into(), c.into(), d.into()])
+}
 
+/// Coordinates of corners relative to `place`.
+#[inline(always)]
+fn less<S: Simd>(corners: &[f64x4<S>; 3], place: f64) -> [f64x4<S>; 3] {
+    [corners[0] - place, corners[1] - place, corners[2] - place]
+}
+
+/// What is met, a lane each.
+struct Met<V> {
+    /// Edge functions: unnormalised weights of corners 1 and 2, and the sum of all three.
+    v: V,
+    w: V,
+    sum: V,
+    /// In lengths of the direction, in front or behind.
+    distance: V,
+    /// Bits of the lanes whose ray passes through the triangle.
+    inside: u64,
+}
+
+impl<V> Met<V> {
+    /// Triangles `[corner]` relative to rays; `None` if no ray passes through any.
     #[inline(always)]
-    fn local_hit(&self, lane: usize, triangle: u32) -> LocalHit {
+    fn of<S: Simd>(
+        simd: S,
+        (x, y): ([V; 3], [V; 3]),
+        depth: impl FnOnce() -> [V; 3],
+        scale: f64,
+    ) -> Option<Self>
+    where
+        V: SimdFloat<S, Element = f64>,
+    {
+        let u = x[2] * y[1] - y[2] * x[1];
+        let v = x[0] * y[2] - y[0] * x[2];
+        let w = x[1] * y[0] - y[1] * x[0];
+        let zero = V::splat(simd, 0.0);
+        let inside = u.min(v).min(w).simd_ge(zero) | u.max(v).max(w).simd_le(zero);
+        let inside = inside.to_bitmask();
+        if inside == 0 {
+            return None;
+        }
+        let z = depth();
+        let sum = u + v + w;
+        let distance = (u * z[0] + v * z[1] + w * z[2]) * scale / sum;
+        Some(Self {
+            v,
+            w,
+            sum,
+            distance,
+            inside,
+        })
+    }
+}
+
+impl<V: Deref<Target = [f64; N]>, const N: usize> Met<V> {
+    /// The hit of lane `lane` at `distance`.
+    #[inline(always)]
+    fn hit(&self, lane: usize, distance: f32, triangle: u32) -> LocalHit {
         let sum = self.sum[lane];
         LocalHit {
-            distance: self.distance[lane],
+            distance,
             triangle,
-            u: self.v[lane] / sum,
-            v: self.w[lane] / sum,
+            u: single_precision(self.v[lane] / sum),
+            v: single_precision(self.w[lane] / sum),
             front: sum > 0.0,
         }
     }
 }
 
+/// What one ray meets of four triangles.
+struct Lanes<S: Simd> {
+    met: Met<f64x4<S>>,
+    /// Rounded, twice the same four: what counts of a hit.
+    distance: f32x8<S>,
+}
+
+impl<S: Simd> Lanes<S> {
+    /// True if there is a hit in front of the ray and closer than `max_distance`.
+    #[inline(always)]
+    fn any_before(&self, max_distance: f32) -> bool {
+        let is_hit = self.distance.simd_gt(0.0) & self.distance.simd_lt(max_distance);
+        is_hit.to_bitmask() & self.met.inside != 0
+    }
+
+    /// The first hit that counts for a ray that ends at `end`: a distance, and a triangle at that distance.
+    #[inline(always)]
+    fn first(&self, indices: &[u32], mut end: (f32, u32)) -> Option<LocalHit> {
+        let mut best = None;
+        for lane in bits_of(self.met.inside) {
+            let (distance, index) = (self.distance[lane], indices[lane]);
+            if counts((distance, index), end) {
+                end = (distance, index);
+                best = Some(lane);
+            }
+        }
+        best.map(|lane| self.met.hit(lane, end.0, end.1))
+    }
+}
+
+/// True if a hit of a triangle at a distance is in front of a ray and before its `end`.
+#[inline(always)]
+fn counts((distance, index): (f32, u32), end: (f32, u32)) -> bool {
+    distance > 0.0 && (distance < end.0 || distance == end.0 && index < end.1)
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "rounds")]
+#[inline(always)]
+const fn single_precision(x: f64) -> f32 {
+    x as f32
+}
+
 #[cfg(test)]
 impl Triangles {
-    /// What `ray` hits of one triangle, without a hierarchy.
+    /// What `ray` hits of one triangle, without a hierarchy: the definition, in plain numbers.
     pub(super) fn single(corners: [Vec3; 3], ray: &Ray) -> Option<LocalHit> {
-        let lanes = Block::new(&[0], &[corners]).sheared(&ray.line);
-        let lanes = lanes.intersect(ray.place, ray.line.scale);
-        (lanes.first(&[0], (ray.max_distance, 0))).map(|lane| lanes.local_hit(lane, 0))
+        let [a, b, c] = corners.map(|corner| {
+            let place = ray.line.place(corner.to_array());
+            [0, 1, 2].map(|axis| place[axis] - ray.place[axis])
+        });
+        let edge = |p: [f64; 3], q: [f64; 3]| p[0] * q[1] - p[1] * q[0];
+        let (u, v, w) = (edge(c, b), edge(a, c), edge(b, a));
+        let sum = u + v + w;
+        let distance = (u * a[2] + v * b[2] + w * c[2]) * ray.line.scale / sum;
+        let distance = single_precision(distance);
+        let inside = u.min(v).min(w) >= 0.0 || u.max(v).max(w) <= 0.0;
+        (inside && distance > 0.0 && distance < ray.max_distance).then(|| LocalHit {
+            distance,
+            triangle: 0,
+            u: single_precision(v / sum),
+            v: single_precision(w / sum),
+            front: sum > 0.0,
+        })
     }
 }

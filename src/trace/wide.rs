@@ -15,6 +15,13 @@ const WIDTH: usize = 8;
 /// `WIDTH - 1` entries a level: [`build::MAX_SAH_DEPTH`] levels and 11 that halve three times each (2^33 items).
 const STACK_SIZE: usize = (WIDTH - 1) * (build::MAX_SAH_DEPTH + 11) + 1;
 
+/// Order of children in which a search ends soonest for the closest hit.
+pub(super) const NEAREST_FIRST: bool = true;
+/// The same for any hit. Rays start on surfaces, whose own neighborhood holds many boxes and seldom blocks: packets end
+/// 1.3 (bunny, box) to 1.7 times (teapots, displaced ball) as soon as with the nearest first, 0.8 to 0.9 times among
+/// leaves that block from near (foliage). Children by their area gain less: 1.1 (teapots) to 1.4.
+pub(super) const FARTHEST_FIRST: bool = false;
+
 /// A box to be put into the tree.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Item {
@@ -74,10 +81,10 @@ impl Wide {
         self.nodes.capacity() * size_of::<Node>() + self.order.capacity() * size_of::<u32>()
     }
 
-    /// Calls `leaf` for the leaves that `ray` may meet, nearest boxes first. `leaf` may shorten the ray; it returns true
-    /// to end the search.
+    /// Calls `leaf` for the leaves that `ray` may meet, the children of a node in `ORDER`. `leaf` may shorten the ray; it
+    /// returns true to end the search.
     #[inline(always)]
-    pub(super) fn traverse<S: Simd>(
+    pub(super) fn traverse<const ORDER: bool, S: Simd>(
         &self,
         simd: S,
         ray: &mut Ray,
@@ -108,7 +115,7 @@ impl Wide {
                 let child = children.trailing_zeros() as usize;
                 children &= children - 1;
                 let mut at = top;
-                while at > first && stack[at - 1].1 < near[child] {
+                while at > first && (stack[at - 1].1 < near[child]) == ORDER {
                     stack[at] = stack[at - 1];
                     at -= 1;
                 }

@@ -107,6 +107,7 @@ impl<'a> Swept<'a> {
                 settings,
                 handed_over: directions,
                 others: directions,
+                is_broken: false,
             };
             Subject {
                 engine: "maps",

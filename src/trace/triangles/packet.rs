@@ -1,16 +1,20 @@
-//! The triangle test for rays of one direction: four triangles against a ray or a triangle against sixteen rays,
-//! whichever takes fewer steps; the bits are those of [`super::Sheared::intersect`].
+//! The triangle test for rays of one direction: four triangles against a ray or a triangle against eight rays,
+//! whichever takes fewer steps; the bits are the same.
 
-use super::{LEAF_SIZE, LocalHit, Sheared, Triangles};
-use crate::trace::wide::{Column, LANES, Packet, ROWS, load, row_of};
+use super::{LEAF_SIZE, LocalHit, Met, Sheared, Triangles, counts, single_precision};
+use crate::math::bits::bits_of;
+use crate::trace::wide::{Column, FARTHEST_FIRST, LANES, NEAREST_FIRST, PACKET_SIZE, Packet, ROWS};
 use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
+use fearless_simd::{Simd, f64x4, f64x8};
 
 /// Up to this many rays of a leaf are tested against four triangles at a time, more with a triangle after the other.
-/// Occlusion of a box and a displaced ball of 200 000 triangles: 3, 8, 16 rays take 89, 73 and 72 ns a ray.
-const FEW: u32 = 8;
-/// The same for closest hits, where every hit of the four has to be looked at: 3, 8, 16 rays take 91, 89 and 95 ns.
-const FEW_CLOSEST: u32 = 4;
+/// Occlusion on the bunny: 3, 8, 16, 32, all rays take 80, 72, 69, 67, 67 ns a ray; three boxes of 36 triangles, whose
+/// leaves are met by whole packets: 32, all rays 12, 13 ns.
+const FEW: u32 = 32;
+/// The same for closest hits: 2, 4, 8, 24, all rays take 129, 119, 106, 102, 101 ns; the three boxes 23 or 26 ns.
+const FEW_CLOSEST: u32 = 24;
+/// Rays that are tested against a triangle at a time.
+const RAYS: usize = 8;
 
 /// What the rays of a packet hit first, in the space of the triangles.
 #[derive(Debug, Clone)]
@@ -18,33 +22,45 @@ const FEW_CLOSEST: u32 = 4;
 pub(in crate::trace) struct PacketHits {
     /// Bit i is set where ray i hit something.
     pub(in crate::trace) found: u64,
-    /// Edge functions as in [`super::Lanes`].
+    /// Bit i is set where it was seen counter-clockwise.
+    front: u64,
+    /// As in [`LocalHit`].
+    u: Column<f32>,
     v: Column<f32>,
-    w: Column<f32>,
-    sum: Column<f32>,
 }
 
 impl PacketHits {
     /// No hits.
     pub(in crate::trace) const NONE: Self = Self {
         found: 0,
+        front: 0,
+        u: [[0.0; LANES]; ROWS],
         v: [[0.0; LANES]; ROWS],
-        w: [[0.0; LANES]; ROWS],
-        sum: [[0.0; LANES]; ROWS],
     };
 
     /// The hit of ray `i` of `packet`, which found one.
     #[inline(always)]
     pub(in crate::trace) fn get(&self, packet: &Packet, i: usize) -> LocalHit {
         let (row, lane) = (i / LANES, i % LANES);
-        let sum = self.sum[row][lane];
         LocalHit {
             distance: packet.max_distance[row][lane],
             triangle: packet.before[row][lane],
-            u: self.v[row][lane] / sum,
-            v: self.w[row][lane] / sum,
-            front: sum > 0.0,
+            u: self.u[row][lane],
+            v: self.v[row][lane],
+            front: self.front >> i & 1 == 1,
         }
+    }
+
+    /// Keeps `hit` of ray `i`, which it shortens.
+    #[inline(always)]
+    fn keep(&mut self, packet: &mut Packet, i: usize, hit: LocalHit) {
+        let (row, lane) = (i / LANES, i % LANES);
+        packet.max_distance[row][lane] = hit.distance;
+        packet.before[row][lane] = hit.triangle;
+        self.u[row][lane] = hit.u;
+        self.v[row][lane] = hit.v;
+        self.front = self.front & !(1 << i) | u64::from(hit.front) << i;
+        self.found |= 1 << i;
     }
 }
 
@@ -52,14 +68,14 @@ impl Triangles {
     /// Takes the rays that hit anything out of `packet.active`.
     #[inline(always)]
     pub(in crate::trace) fn occluded_packet<S: Simd>(&self, simd: S, packet: &mut Packet) {
-        (self.tree).traverse_packet(
+        (self.tree).traverse_packet::<FARTHEST_FIRST, S>(
             simd,
             packet,
             #[inline(always)]
             |leaf, lanes, packet| {
-                let sheared = self.blocks[leaf.block].sheared(&packet.line);
+                let sheared = self.blocks[leaf.block].sheared(simd, &packet.line);
                 packet.active &= !if lanes.count_ones() <= FEW {
-                    sheared.block_each(lanes, packet)
+                    sheared.block_each(simd, lanes, packet)
                 } else {
                     sheared.block_rows(simd, leaf.count, lanes, packet)
                 };
@@ -75,21 +91,20 @@ impl Triangles {
         packet: &mut Packet,
         hits: &mut PacketHits,
     ) {
-        (self.tree).traverse_packet(
+        (self.tree).traverse_packet::<NEAREST_FIRST, S>(
             simd,
             packet,
             #[inline(always)]
             |leaf, lanes, packet| {
-                let sheared = self.blocks[leaf.block].sheared(&packet.line);
+                let sheared = self.blocks[leaf.block].sheared(simd, &packet.line);
                 let first = leaf.block * LEAF_SIZE;
                 let indices = &self.tree.order[first..first + leaf.count];
                 let nearer = if lanes.count_ones() <= FEW_CLOSEST {
-                    sheared.shorten_each(indices, lanes, (packet, hits))
+                    sheared.shorten_each(simd, indices, lanes, (packet, hits))
                 } else {
                     sheared.shorten_rows(simd, indices, lanes, (packet, hits))
                 };
-                hits.found |= nearer;
-                if nearer != 0 {
+                if nearer {
                     packet.limit(simd);
                 }
             },
@@ -97,196 +112,144 @@ impl Triangles {
     }
 }
 
-/// Twin of [`super::Lanes`]: one triangle, sixteen rays.
-struct Tested<S: Simd> {
-    v: f32x16<S>,
-    w: f32x16<S>,
-    sum: f32x16<S>,
-    distance: f32x16<S>,
-    hit: mask32x16<S>,
-}
-
-impl Sheared {
+impl<S: Simd> Sheared<S> {
     /// Those of `lanes` that any triangle blocks, one ray after the other.
     #[inline(always)]
-    fn block_each(&self, lanes: u64, packet: &Packet) -> u64 {
-        let (mut blocked, mut rest) = (0, lanes);
-        while rest != 0 {
-            let i = rest.trailing_zeros() as usize;
-            rest &= rest - 1;
-            let (row, column) = (i / LANES, i % LANES);
-            let tested = self.intersect(packet.place_of(i), packet.line.scale);
-            let max_distance = packet.max_distance[row][column];
-            let mut hit = false;
-            for lane in 0..LEAF_SIZE {
-                hit |= tested.hit[lane] & (tested.distance[lane] < max_distance);
+    fn block_each(&self, simd: S, lanes: u64, packet: &Packet) -> u64 {
+        let mut blocked = 0;
+        for i in bits_of(lanes) {
+            if let Some(met) = self.meet(simd, packet.place_of(i), packet.line.scale) {
+                let max_distance = packet.max_distance[i / LANES][i % LANES];
+                blocked |= u64::from(met.any_before(max_distance)) << i;
             }
-            blocked |= u64::from(hit) << i;
         }
         blocked
     }
 
-    /// The same, sixteen rays at a time.
+    /// The same, eight rays at a time.
     #[inline(always)]
-    fn block_rows<S: Simd>(&self, simd: S, count: usize, lanes: u64, packet: &Packet) -> u64 {
+    fn block_rows(&self, simd: S, count: usize, lanes: u64, packet: &Packet) -> u64 {
         let mut left = lanes;
         for triangle in 0..count {
-            for row in 0..ROWS {
-                let bits = row_of(left, row);
-                if bits != 0
-                    && let Some(tested) = self.test(simd, (triangle, row), bits, packet)
-                {
-                    let max_distance = load(simd, &packet.max_distance, row);
-                    let hit = tested.hit & tested.distance.simd_lt(max_distance);
-                    left &= !((hit.to_bitmask() & bits) << (row * LANES));
+            for first in (0..PACKET_SIZE).step_by(RAYS) {
+                let bits = left >> first & 0xff;
+                if bits == 0 {
+                    continue;
+                }
+                let Some(met) = self.meet_rays(simd, (triangle, first), packet) else {
+                    continue;
+                };
+                let distance = met.distances();
+                for k in bits_of(met.inside & bits) {
+                    let i = first + k;
+                    let max_distance = packet.max_distance[i / LANES][i % LANES];
+                    let hit = 0.0 < distance[k] && distance[k] < max_distance;
+                    left &= !(u64::from(hit) << i);
                 }
             }
         }
         lanes & !left
     }
 
-    /// Shortens those of `lanes` for which a hit of the triangles `indices` counts, one after the other; their bits.
+    /// Shortens those of `lanes` for which a hit of the triangles `indices` counts, one after the other; true if any.
     #[inline(always)]
     fn shorten_each(
-        &self,
-        indices: &[u32],
-        lanes: u64,
-        (packet, hits): (&mut Packet, &mut PacketHits),
-    ) -> u64 {
-        let (mut nearer, mut rest) = (0, lanes);
-        while rest != 0 {
-            let i = rest.trailing_zeros() as usize;
-            rest &= rest - 1;
-            let (row, column) = (i / LANES, i % LANES);
-            let tested = self.intersect(packet.place_of(i), packet.line.scale);
-            let end = (packet.max_distance[row][column], packet.before[row][column]);
-            if let Some(lane) = tested.first(indices, end) {
-                packet.max_distance[row][column] = tested.distance[lane];
-                packet.before[row][column] = indices[lane];
-                hits.v[row][column] = tested.v[lane];
-                hits.w[row][column] = tested.w[lane];
-                hits.sum[row][column] = tested.sum[lane];
-                nearer |= 1 << i;
-            }
-        }
-        nearer
-    }
-
-    /// The same, sixteen rays at a time.
-    #[inline(always)]
-    fn shorten_rows<S: Simd>(
         &self,
         simd: S,
         indices: &[u32],
         lanes: u64,
         (packet, hits): (&mut Packet, &mut PacketHits),
-    ) -> u64 {
-        let mut nearer = 0;
+    ) -> bool {
+        let mut nearer = false;
+        for i in bits_of(lanes) {
+            let Some(met) = self.meet(simd, packet.place_of(i), packet.line.scale) else {
+                continue;
+            };
+            if let Some(hit) = met.first(indices, packet.end_of(i)) {
+                hits.keep(packet, i, hit);
+                nearer = true;
+            }
+        }
+        nearer
+    }
+
+    /// The same, eight rays at a time.
+    #[inline(always)]
+    fn shorten_rows(
+        &self,
+        simd: S,
+        indices: &[u32],
+        lanes: u64,
+        (packet, hits): (&mut Packet, &mut PacketHits),
+    ) -> bool {
+        let mut nearer = false;
         for (triangle, &index) in indices.iter().enumerate() {
-            for row in 0..ROWS {
-                let bits = row_of(lanes, row);
-                if bits != 0
-                    && let Some(tested) = self.test(simd, (triangle, row), bits, packet)
-                {
-                    let lanes = tested.keep(simd, (row, bits), index, (packet, hits));
-                    nearer |= lanes << (row * LANES);
+            for first in (0..PACKET_SIZE).step_by(RAYS) {
+                let bits = lanes >> first & 0xff;
+                if bits == 0 {
+                    continue;
+                }
+                let Some(met) = self.meet_rays(simd, (triangle, first), packet) else {
+                    continue;
+                };
+                let distances = met.distances();
+                for k in bits_of(met.inside & bits) {
+                    if counts((distances[k], index), packet.end_of(first + k)) {
+                        hits.keep(packet, first + k, met.hit(k, distances[k], index));
+                        nearer = true;
+                    }
                 }
             }
         }
         nearer
     }
 
-    /// One coordinate of the corners of triangle `triangle`, relative to `places`.
+    /// Triangle `triangle` against the rays from `first` on; `None` if it meets none.
     #[inline(always)]
-    fn corners<S: Simd>(
+    fn meet_rays(
         &self,
         simd: S,
-        corners: &[[f32; LEAF_SIZE]; 3],
-        triangle: usize,
-        places: f32x16<S>,
-    ) -> [f32x16<S>; 3] {
-        [
-            f32x16::splat(simd, corners[0][triangle]) - places,
-            f32x16::splat(simd, corners[1][triangle]) - places,
-            f32x16::splat(simd, corners[2][triangle]) - places,
-        ]
-    }
-
-    /// Triangle `triangle` against row `row` of `packet`; `None` if none of its rays `bits` is inside.
-    #[inline(always)]
-    fn test<S: Simd>(
-        &self,
-        simd: S,
-        (triangle, row): (usize, usize),
-        bits: u64,
+        (triangle, first): (usize, usize),
         packet: &Packet,
-    ) -> Option<Tested<S>> {
-        let (px, py) = (
-            load(simd, &packet.place[0], row),
-            load(simd, &packet.place[1], row),
+    ) -> Option<Met<f64x8<S>>> {
+        let sides = (
+            less_rays(simd, &self.x, triangle, (&packet.place[0], first)),
+            less_rays(simd, &self.y, triangle, (&packet.place[1], first)),
         );
-        let x = self.corners(simd, &self.x, triangle, px);
-        let y = self.corners(simd, &self.y, triangle, py);
-        let u = x[2] * y[1] - y[2] * x[1];
-        let v = x[0] * y[2] - y[0] * x[2];
-        let w = x[1] * y[0] - y[1] * x[0];
-        let zero = f32x16::splat(simd, 0.0);
-        let least = u.min(v).min(w);
-        let most = u.max(v).max(w);
-        let inside = least.simd_ge(zero) | most.simd_le(zero);
-        if inside.to_bitmask() & bits == 0 {
-            return None;
-        }
-        let z = self.corners(
+        Met::of(
             simd,
-            &self.depth,
-            triangle,
-            load(simd, &packet.place[2], row),
-        );
-        let sum = u + v + w;
-        let distance = (u * z[0] + v * z[1] + w * z[2]) * packet.line.scale / sum;
-        Some(Tested {
-            v,
-            w,
-            sum,
-            distance,
-            hit: inside & distance.simd_gt(zero),
-        })
+            sides,
+            #[inline(always)]
+            || less_rays(simd, &self.depth, triangle, (&packet.place[2], first)),
+            packet.line.scale,
+        )
     }
 }
 
-impl<S: Simd> Tested<S> {
-    /// Shortens those of the rays `bits` of row `row` for which this hit of triangle `index` counts; their bits.
-    #[inline(always)]
-    fn keep(
-        self,
-        simd: S,
-        (row, bits): (usize, u64),
-        index: u32,
-        (packet, hits): (&mut Packet, &mut PacketHits),
-    ) -> u64 {
-        let max = f32x16::from_slice(simd, &packet.max_distance[row]);
-        let before = u32x16::from_slice(simd, &packet.before[row]);
-        let ours = u32x16::splat(simd, index);
-        let tie = self.distance.simd_eq(max) & ours.simd_lt(before);
-        let nearer =
-            self.hit & (self.distance.simd_lt(max) | tie) & mask32x16::from_bitmask(simd, bits);
-        let lanes = nearer.to_bitmask();
-        if lanes == 0 {
-            return 0;
-        }
-        store(simd, nearer, self.distance, &mut packet.max_distance[row]);
-        store(simd, nearer, self.v, &mut hits.v[row]);
-        store(simd, nearer, self.w, &mut hits.w[row]);
-        store(simd, nearer, self.sum, &mut hits.sum[row]);
-        nearer
-            .select(ours, before)
-            .store_slice(&mut packet.before[row]);
-        lanes
-    }
-}
-
+/// Coordinates of the corners of triangle `triangle` relative to those of rays from `first` on.
 #[inline(always)]
-fn store<S: Simd>(simd: S, mask: mask32x16<S>, value: f32x16<S>, place: &mut [f32; LANES]) {
-    (mask.select(value, f32x16::from_slice(simd, place))).store_slice(place);
+fn less_rays<S: Simd>(
+    simd: S,
+    corners: &[f64x4<S>; 3],
+    triangle: usize,
+    (places, first): (&Column<f64>, usize),
+) -> [f64x8<S>; 3] {
+    let (row, lane) = (first / LANES, first % LANES);
+    let places = f64x8::from_slice(simd, &places[row][lane..lane + RAYS]);
+    [
+        f64x8::splat(simd, corners[0][triangle]) - places,
+        f64x8::splat(simd, corners[1][triangle]) - places,
+        f64x8::splat(simd, corners[2][triangle]) - places,
+    ]
+}
+
+impl<S: Simd> Met<f64x8<S>> {
+    #[inline(always)]
+    fn distances(&self) -> [f32; RAYS] {
+        let mut distances = [0.0; RAYS];
+        for (lane, distance) in distances.iter_mut().enumerate() {
+            *distance = single_precision(self.distance[lane]);
+        }
+        distances
+    }
 }

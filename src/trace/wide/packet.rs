@@ -27,7 +27,7 @@ pub(in crate::trace) type Column<T> = [[T; LANES]; ROWS];
 pub(in crate::trace) struct Packet {
     pub(in crate::trace) line: Line,
     /// As in [`crate::trace::ray::Ray::place`].
-    pub(in crate::trace) place: [Column<f32>; 3],
+    pub(in crate::trace) place: [Column<f64>; 3],
     pub(in crate::trace) max_distance: Column<f32>,
     pub(in crate::trace) before: Column<u32>,
     /// Bit i is set where ray i is still searching.
@@ -94,11 +94,7 @@ impl Packet {
                 low[axis] = is_valid.select(low[axis].min(start), low[axis]);
                 high[axis] = is_valid.select(high[axis].max(start), high[axis]);
             }
-            let [kx, ky, kz] = line.axes;
-            let depth = origin[kz] * line.sign;
-            (origin[kx] - depth * line.slope[0]).store_slice(&mut packet.place[0][row]);
-            (origin[ky] - depth * line.slope[1]).store_slice(&mut packet.place[1][row]);
-            depth.store_slice(&mut packet.place[2][row]);
+            packet.put(row, origins);
         }
         for axis in 0..3 {
             packet.range[0][axis] = -most(-low[axis]);
@@ -109,15 +105,35 @@ impl Packet {
         packet
     }
 
+    /// Shears the origins of row `row`: [`Line::place`] in plain loops over lanes.
+    #[inline(always)]
+    fn put(&mut self, row: usize, origins: &[Column<f32>; 3]) {
+        let Line { axes, slope, .. } = self.line;
+        let [x, y, z] = axes.map(|axis| &origins[axis][row]);
+        for lane in 0..LANES {
+            let depth = self.line.sign * f64::from(z[lane]);
+            self.place[0][row][lane] = f64::from(x[lane]) - slope[0] * depth;
+            self.place[1][row][lane] = f64::from(y[lane]) - slope[1] * depth;
+            self.place[2][row][lane] = depth;
+        }
+    }
+
     /// Sheared origin of ray `i`.
     #[inline(always)]
-    pub(in crate::trace) fn place_of(&self, i: usize) -> [f32; 3] {
+    pub(in crate::trace) fn place_of(&self, i: usize) -> [f64; 3] {
         let (row, column) = (i / LANES, i % LANES);
         [
             self.place[0][row][column],
             self.place[1][row][column],
             self.place[2][row][column],
         ]
+    }
+
+    /// Where ray `i` ends: a distance, and the triangle before which others count at that distance.
+    #[inline(always)]
+    pub(in crate::trace) fn end_of(&self, i: usize) -> (f32, u32) {
+        let (row, column) = (i / LANES, i % LANES);
+        (self.max_distance[row][column], self.before[row][column])
     }
 
     /// Looks for the largest limit anew, after rays became shorter.
@@ -178,10 +194,10 @@ struct Entry {
 }
 
 impl Wide {
-    /// Calls `leaf` with the rays that may meet it, nearest boxes first. `leaf` may take rays out of
+    /// Calls `leaf` with the rays that may meet it, the children of a node in `ORDER`. `leaf` may take rays out of
     /// [`Packet::active`] and shorten them.
     #[inline(always)]
-    pub(in crate::trace) fn traverse_packet<S: Simd>(
+    pub(in crate::trace) fn traverse_packet<const ORDER: bool, S: Simd>(
         &self,
         simd: S,
         packet: &mut Packet,
@@ -214,7 +230,7 @@ impl Wide {
             for child in 0..WIDTH {
                 if inside[child] != 0 {
                     let mut at = top;
-                    while at > first && stack[at - 1].near < near[child] {
+                    while at > first && (stack[at - 1].near < near[child]) == ORDER {
                         stack[at] = stack[at - 1];
                         at -= 1;
                     }

@@ -1,0 +1,120 @@
+//! Light found anew at hits, as a renderer finds it: what surfels stand for, without their size.
+//!
+//! Surfels tell the mean light of their area. To whoever is nearer to one than a few times its width that is too coarse:
+//! in the pits of a scan, in gaps thinner than surfels are wide, where a foot stands on the ground. So hits near by are lit
+//! anew. Where all hits are, this is the truth that the other engines are measured against: noisy and slow, but with no
+//! error of surfels in it.
+//!
+//! A hit looks along one ray a light and a few to the sky, other ones for every hit, so that many of them agree with the
+//! truth in the mean.
+
+use super::radiance::Outgoing;
+use crate::lighting::{Lighting, ShadePoint};
+use crate::scene::{PlacedMesh, on_the_side_of};
+use crate::shading::{Shader, Surface, SurfacePoint};
+use crate::surfels::DiceMap;
+use crate::trace::{Hit, Tracer};
+use glam::Vec3;
+use std::f32::consts::FRAC_1_PI;
+
+/// Hits nearer than this many radii of their surfel are lit anew. Relative RMSE of one bounce by 4096 rays and 100 000
+/// surfels at the points of scans, under a sky with four small bright areas, by 0, 1.5 and 3 or 4 radii: Nefertiti
+/// (100 000 triangles) 7.8, 1.6, 1.6 %; bunny 1.2, 0.66, 0.61 %; rays take 1.25 and 2.8 times as long with 1.5 (at pixels 1.2 and
+/// 1.0 times), since many points of a scan lie in pits.
+const NEAR_RADII: f32 = 1.5;
+
+/// Lights and shades single hits, once reflected.
+#[derive(Debug, Clone, Copy)]
+pub struct HitLight<'a> {
+    shader: &'a Shader<'a>,
+    tracer: &'a Tracer,
+    lighting: &'a Lighting,
+    /// Tells the sides that reflect: those that have surfels.
+    dice: &'a DiceMap,
+}
+
+impl<'a> HitLight<'a> {
+    /// Light of `lighting`, by its samples for receivers, on the sides of surfaces that have surfels in `dice`; `None` where
+    /// single places can't be lit by a few rays: emissive surfaces take many.
+    pub fn new(
+        shader: &'a Shader<'a>,
+        tracer: &'a Tracer,
+        lighting: &'a Lighting,
+        dice: &'a DiceMap,
+    ) -> Option<Self> {
+        (!lighting.has_emitters()).then_some(Self {
+            shader,
+            tracer,
+            lighting,
+            dice,
+        })
+    }
+
+    /// True if `hit` is too near to a surfel of this radius to see all of it.
+    pub(super) fn is_near(hit: &Hit, radius: f32) -> bool {
+        hit.distance < NEAR_RADII * radius
+    }
+
+    /// Radiance from `hit` at `position`; black on a side without surfels.
+    pub(super) fn radiance(&self, hit: &Hit, position: Vec3) -> Outgoing {
+        let side = (self.dice).surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+        if side.is_none() {
+            return Outgoing::BLACK;
+        }
+        let (place, surface) = self.surface(hit);
+        Outgoing {
+            reflected: self.reflected_by(surface.albedo, (hit, &place), position),
+            emitted: if hit.front {
+                surface.emission
+            } else {
+                Vec3::ZERO
+            },
+        }
+    }
+
+    /// Its reflected part, on a side that has surfels.
+    pub(super) fn reflected(&self, hit: &Hit, position: Vec3) -> Vec3 {
+        let (place, surface) = self.surface(hit);
+        self.reflected_by(surface.albedo, (hit, &place), position)
+    }
+
+    fn surface(&self, hit: &Hit) -> (SurfacePoint, Surface) {
+        let place = SurfacePoint {
+            prim: hit.prim,
+            triangle: hit.triangle,
+            u: hit.u,
+            v: hit.v,
+            footprint: 0.0,
+        };
+        (place, self.shader.surface(&place))
+    }
+
+    fn reflected_by(
+        &self,
+        albedo: Vec3,
+        (hit, place): (&Hit, &SurfacePoint),
+        position: Vec3,
+    ) -> Vec3 {
+        if albedo == Vec3::ZERO {
+            return Vec3::ZERO;
+        }
+        let point = self.point(hit, place, position);
+        albedo * self.lighting.glimpse(self.tracer, &point, number(hit)) * FRAC_1_PI
+    }
+
+    fn point(&self, hit: &Hit, place: &SurfacePoint, position: Vec3) -> ShadePoint {
+        let scene = self.shader.scene();
+        let world = PlacedMesh::of(scene, hit.prim);
+        let plane = world.plane_normal(hit.triangle).normalize_or(Vec3::Y);
+        let shading = world.shading_normal(hit.triangle, hit.u, hit.v);
+        let shading = on_the_side_of(plane, shading);
+        let sign = if hit.front { 1.0 } else { -1.0 };
+        ShadePoint::on_mesh(scene, place, position, (shading * sign, plane * sign))
+    }
+}
+
+/// Another one for every hit, so that what few rays to the lights miss at one, they find at others.
+fn number(hit: &Hit) -> usize {
+    let bits = hit.u.to_bits() ^ hit.v.to_bits().rotate_left(16) ^ hit.triangle;
+    (bits.wrapping_mul(0x9e37_79b9) >> 20) as usize
+}
