@@ -16,10 +16,12 @@ mod testing;
 pub use at_hits::HitLight;
 pub use estimate::{ErrorEstimate, Reference, estimate};
 pub use radiance::{LoadedCloud, RadianceSource};
+pub use raster::{RasterEngine, RasterSettings};
 pub use rays::{RaysEngine, RaysFactory, RaysSettings};
 
 pub mod maps;
 pub mod paper;
+pub mod raster;
 pub mod traverse;
 
 use crate::diagnostics::{Cancelled, Diagnostics};

@@ -1,0 +1,206 @@
+//! Light that areas send to receivers: computed, not sampled.
+//!
+//! Plain loops over lanes, compiled once for every instruction set; no operation is fused or reordered, so the bits are
+//! the same on all of them.
+
+use super::group::Group;
+use glam::Vec3;
+use std::f32::consts::FRAC_1_PI;
+
+const LANES: usize = 16;
+
+/// A small area that shines.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Area {
+    pub(super) position: Vec3,
+    /// Unit; of length 0 for one that looks alike from everywhere.
+    pub(super) normal: Vec3,
+    /// True area, or the projected one where there is no normal.
+    pub(super) area: f32,
+    /// Reflected radiance.
+    pub(super) light: Vec3,
+}
+
+impl Area {
+    /// Cosine-weighted solid angle of it as seen from `position` with unit `normal`, sr; 0 beyond `max_distance`.
+    pub(super) fn seen_from(&self, position: Vec3, normal: Vec3, max_distance: f32) -> f32 {
+        let offset = self.position - position;
+        solid_angle(
+            (offset.to_array(), normal.to_array()),
+            (self.normal.to_array(), self.area),
+            max_distance * max_distance,
+        )
+    }
+}
+
+/// Areas by component.
+#[derive(Debug, Clone)]
+struct Row {
+    position: [[f32; LANES]; 3],
+    normal: [[f32; LANES]; 3],
+    area: [f32; LANES],
+    light: [[f32; LANES]; 3],
+}
+
+/// Irradiance of all receivers of `group` from `areas`, none of them hidden.
+#[expect(
+    clippy::needless_range_loop,
+    reason = "lanes run through nine arrays at once"
+)]
+#[inline(always)]
+pub(super) fn irradiance(group: &Group, areas: &[Area], max_distance: f32) -> Vec<Vec3> {
+    let rows: Vec<Row> = areas.chunks(LANES).map(row).collect();
+    let squared = max_distance * max_distance;
+    let mut sums = Vec::with_capacity(group.len());
+    for (&place, &normal) in group.positions.iter().zip(&group.normals) {
+        let mut sum = [[0.0; LANES]; 3];
+        for row in &rows {
+            for lane in 0..LANES {
+                let offset = [
+                    row.position[0][lane] - place.x,
+                    row.position[1][lane] - place.y,
+                    row.position[2][lane] - place.z,
+                ];
+                let facing = [
+                    row.normal[0][lane],
+                    row.normal[1][lane],
+                    row.normal[2][lane],
+                ];
+                let seen = solid_angle(
+                    (offset, [normal.x, normal.y, normal.z]),
+                    (facing, row.area[lane]),
+                    squared,
+                );
+                sum[0][lane] += row.light[0][lane] * seen;
+                sum[1][lane] += row.light[1][lane] * seen;
+                sum[2][lane] += row.light[2][lane] * seen;
+            }
+        }
+        sums.push(Vec3::from(sum.map(|lanes| lanes.iter().sum::<f32>())));
+    }
+    sums
+}
+
+/// Up to [`LANES`] areas; the rest have none.
+fn row(areas: &[Area]) -> Row {
+    let component = |value: fn(&Area) -> Vec3, axis: usize| {
+        std::array::from_fn(|lane| areas.get(lane).map_or(0.0, |area| value(area)[axis]))
+    };
+    let vector = |value| [0, 1, 2].map(|axis| component(value, axis));
+    Row {
+        position: vector(|area| area.position),
+        normal: vector(|area| area.normal),
+        area: std::array::from_fn(|lane| areas.get(lane).map_or(0.0, |area| area.area)),
+        light: vector(|area| area.light),
+    }
+}
+
+/// Cosine-weighted solid angle of an area at `offset`, seen above the horizon of `normal`. Point to point, A cos cos / d²,
+/// but for the horizon: an area that it cuts is as high as a square, of which the part above counts.
+#[inline(always)]
+fn solid_angle(
+    (offset, normal): ([f32; 3], [f32; 3]),
+    (facing, area): ([f32; 3], f32),
+    max_squared: f32,
+) -> f32 {
+    let squared = dot(offset, offset);
+    let height = dot(normal, offset);
+    let is_flat = dot(facing, facing) > 0.0;
+    let depth = -dot(facing, offset);
+    let depth = if depth > 0.0 { depth } else { 0.0 };
+    let depth = if is_flat { depth } else { squared.sqrt() };
+    let tilt = dot(normal, facing);
+    let tilt = if is_flat {
+        tilt * tilt
+    } else {
+        height * height / squared
+    };
+    let across = if tilt < 1.0 { 1.0 - tilt } else { 0.0 };
+    let reach = (area * across * FRAC_1_PI).sqrt();
+    let above = height + reach;
+    let cut = above * above / (4.0 * reach);
+    let cut = if above > 0.0 { cut } else { 0.0 };
+    let height = if height >= reach { height } else { cut };
+    let seen = area * depth * height / (squared * squared);
+    let is_within = squared > 0.0 && squared < max_squared;
+    if is_within { seen } else { 0.0 }
+}
+
+#[inline(always)]
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gather::testing::receivers_at;
+    use crate::math::solid_angle::disk_form_factor;
+    use crate::trace::Tracer;
+    use fearless_simd::{Level, dispatch};
+    use std::f32::consts::PI;
+
+    fn disk(position: Vec3, normal: Vec3, radius: f32) -> Area {
+        Area {
+            position,
+            normal,
+            area: PI * radius * radius,
+            light: Vec3::new(1.0, 2.0, 4.0),
+        }
+    }
+
+    #[test]
+    fn a_small_disk_overhead_has_its_form_factor() {
+        let small = disk(Vec3::Y * 2.0, Vec3::NEG_Y, 0.1);
+        let seen = small.seen_from(Vec3::ZERO, Vec3::Y, f32::INFINITY);
+        // The disk of 1/20 rad is taken for a point: r²/d² = 0.25 % off.
+        assert!((seen / (PI * disk_form_factor(2.0, 0.1)) - 1.0).abs() < 3e-3);
+        assert_eq!(small.seen_from(Vec3::ZERO, Vec3::Y, 1.9), 0.0);
+        assert_eq!(small.seen_from(Vec3::ZERO, Vec3::NEG_Y, 9.0), 0.0);
+        assert_eq!(small.seen_from(small.position, Vec3::Y, 9.0), 0.0);
+    }
+
+    #[test]
+    fn an_area_that_the_horizon_cuts_sinks_smoothly() {
+        let at = |y: f32| disk(Vec3::new(3.0, y, 0.0), Vec3::NEG_X, 0.2);
+        let seen = |y| at(y).seen_from(Vec3::ZERO, Vec3::Y, f32::INFINITY);
+        assert!(seen(0.0) > 0.0 && seen(-0.19) > 0.0 && seen(-0.21) == 0.0);
+        for k in -30..30 {
+            let y = k as f32 * 0.01;
+            assert!(seen(y + 0.01) >= seen(y), "{y}");
+            assert!(
+                seen(y + 0.01) - seen(y) < 0.02 * seen(0.3) / 0.3 * 1.2,
+                "{y}"
+            );
+        }
+    }
+
+    #[test]
+    fn all_instruction_sets_give_the_bits_of_single_areas() {
+        let mut random = crate::trace::testing::Random(5);
+        let areas: Vec<Area> = (0..77)
+            .map(|i| Area {
+                normal: if i % 5 == 0 {
+                    Vec3::ZERO
+                } else {
+                    random.vector().normalize()
+                },
+                ..disk(random.vector() * 3.0, Vec3::Y, 0.1)
+            })
+            .collect();
+        let receivers = receivers_at(&[(Vec3::ZERO, Vec3::Y), (Vec3::X * 0.1, Vec3::Y)]);
+        let tracer = Tracer::new(&crate::trace::testing::scene(Vec::new(), &[]));
+        let group = Group::new(&tracer, &receivers, &[0, 1]);
+        let wide = dispatch!(Level::new(), simd => {
+            let _ = simd;
+            irradiance(&group, &areas, 5.0)
+        });
+        assert_eq!(wide, irradiance(&group, &areas, 5.0));
+        for (i, wide) in wide.iter().enumerate() {
+            let place = (group.positions[i], group.normals[i]);
+            let one = |area: &Area| area.light * area.seen_from(place.0, place.1, 5.0);
+            let sum: Vec3 = areas.iter().map(one).sum();
+            assert!(wide.abs_diff_eq(sum, 1e-5 * sum.length()), "{wide} {sum}");
+        }
+    }
+}
