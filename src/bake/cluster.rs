@@ -4,7 +4,7 @@
 //! nearest to the middle of all: a point on the surface. What is averaged over it is taken at some of its triangles,
 //! each for the run of triangles around it.
 
-use super::light::{Look, Side, plane_normal, whole_number};
+use super::light::{Look, Side, plane_normal};
 use crate::lighting::ShadePoint;
 use crate::scene::{FaceMaterials, PlacedMesh};
 use crate::shading::{Surface, SurfacePoint};
@@ -105,14 +105,9 @@ impl<'a> Cluster<'a> {
 }
 
 /// Irradiance of `look.lights` on one side of a cluster, the mean over some of its triangles.
-pub(super) fn mean_light(
-    look: &Look<'_>,
-    side: &Side<'_>,
-    (members, places): (&[u32], usize),
-) -> Vec3 {
+pub(super) fn mean_light(look: &Look<'_>, side: &Side<'_>, members: &[u32]) -> Vec3 {
     samples(side.world, members, LIGHT_SAMPLES)
-        .zip(whole_number(members[0])..)
-        .map(|((t, share, _), number)| share * (look.lights)(&side.middle(t), (number, places)))
+        .map(|(t, share, _)| share * (look.lights)(&side.middle(t)))
         .sum()
 }
 

@@ -3,8 +3,7 @@
 //! Light is evaluated at the center of every cell, as seen from one place on each source, another one for every
 //! neighbor. Where a cell and its neighbors differ by more than
 //! [`STEEPEST`], which is what a penumbra, a shadow's edge or the falloff of a near light looks like at the cells' size, UsdLux
-//! lights (the sharp sources) are evaluated again at the middles of its four quarters, and their mean counts. Where it and
-//! they are all dark, light may yet come through a slit, from places that they did not look at: others are looked at.
+//! lights (the sharp sources) are evaluated again at the middles of its four quarters, and their mean counts.
 //! Neighbors are the adjoining cells of the same triangle, and for whole triangles and clusters the cells of all
 //! triangles that share a point with them. Clusters are evaluated at the middles of some of their triangles. What lies between cells that agree, such as the shadow of a twig, is not looked for.
 //! Environment and emissive surfaces are wide and evaluated at the center only.
@@ -21,21 +20,15 @@ use rayon::prelude::*;
 /// Relative difference of irradiance between neighboring cells above which a cell is evaluated more finely.
 const STEEPEST: f32 = 0.1;
 
-/// Places on a source that each quarter of a steep cell, and each triangle of a steep cluster, looks at. With 4 of them
-/// the Cornell box with two spheres misses 1 % of one bounce, by what is left of penumbrae.
-pub(super) const STEEP_PLACES: usize = 16;
-
-/// Places that a dark cell looks at besides the first.
-const DARK_PLACES: usize = 4;
-
 /// What shades and lights a point; apart from the modules that do, so that tests can put closed forms in their place.
 #[derive(Clone, Copy)]
 pub(super) struct Look<'a> {
     /// Albedo and emission.
     pub(super) surface: &'a (dyn Fn(&SurfacePoint) -> Surface + Sync),
-    /// Irradiance of sources whose shadows may be sharp, as seen from some places on them: number of the first, which is
-    /// another one for every neighbor, and how many.
-    pub(super) lights: &'a (dyn Fn(&ShadePoint, (usize, usize)) -> Vec3 + Sync),
+    /// Irradiance of sources whose shadows may be sharp.
+    pub(super) lights: &'a (dyn Fn(&ShadePoint) -> Vec3 + Sync),
+    /// The same where nothing casts a penumbra; in penumbrae that of one place on the source, another for every number.
+    pub(super) glance: &'a (dyn Fn(&ShadePoint, usize) -> Vec3 + Sync),
     /// Irradiance of wide sources at each of some points, near each other for speed.
     pub(super) wide: &'a (dyn Fn(&[ShadePoint]) -> Vec<Vec3> + Sync),
 }
@@ -78,7 +71,7 @@ impl Side<'_> {
     }
 }
 
-/// Number of the first place for [`Look::lights`] of a cell: those of neighbors differ.
+/// Number for [`Look::glance`] of a cell: those of neighbors differ.
 pub(super) fn glance_number(t: u32, row: Row, column: u32) -> usize {
     5 * column as usize + 7 * row.index as usize + whole_number(t)
 }
@@ -100,31 +93,16 @@ pub(super) fn quartered(
     side: &Side<'_>,
     t: u32,
     part: &Part,
-    (row, column): (Row, u32),
+    at: (Row, u32),
 ) -> Vec3 {
     let plane_normal = plane_normal(side.world, t);
-    let number = glance_number(t, row, column);
-    let sum: Vec3 = (0..4_u8)
+    let sum: Vec3 = (0..4)
         .map(|quarter| {
-            let weights = part.quarter(row, column, quarter.into());
-            let point = side.shade_point(t, weights, plane_normal);
-            (look.lights)(&point, (number + usize::from(quarter), STEEP_PLACES))
+            let weights = part.quarter(at.0, at.1, quarter);
+            (look.lights)(&side.shade_point(t, weights, plane_normal))
         })
         .sum();
     0.25 * sum
-}
-
-/// Irradiance of `look.lights` at the middle of one cell, from other places than the first one.
-pub(super) fn looked_at_again(
-    look: &Look<'_>,
-    side: &Side<'_>,
-    t: u32,
-    part: &Part,
-    (row, column): (Row, u32),
-) -> Vec3 {
-    let weights = part.cell(row, column).center;
-    let point = side.shade_point(t, weights, plane_normal(side.world, t));
-    (look.lights)(&point, (glance_number(t, row, column) + 1, DARK_PLACES))
 }
 
 /// Luminance of the irradiance at the cells of one side of one prim, and around every point of its mesh.

@@ -22,10 +22,7 @@ use crate::trace::Tracer;
 use blocks::{Block, BlockColumns, front};
 use cluster::{Cluster, mean_light};
 use glam::Vec3;
-use light::{
-    Look, STEEP_PLACES, Side, Steepness, glance_number, looked_at_again, plane_normal, quartered,
-    whole_number,
-};
+use light::{Look, Side, Steepness, glance_number, plane_normal, quartered, whole_number};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
@@ -72,7 +69,8 @@ pub fn bake(
     let lighting = lighting.for_surfels();
     let look = Look {
         surface: &|point| shader.surface(point),
-        lights: &|point, places| lighting.lights(tracer, point, places),
+        lights: &|point| lighting.lights(tracer, point),
+        glance: &|point, number| lighting.glance(tracer, point, number),
         wide: &|points| lighting.wide(shader, tracer, points),
     };
     bake_with(shader.scene(), &look, settings, diagnostics)
@@ -214,7 +212,7 @@ struct Shaded {
     normal: Vec3,
     radius: f32,
     area: f32,
-    /// Of the first place for [`Look::lights`].
+    /// For [`Look::glance`].
     number: usize,
     surface: Surface,
 }
@@ -295,7 +293,7 @@ impl BlockColumns<'_> {
         self.prim[i] = side.prim.0;
         self.radiosity[i] = self.emission[i];
         if cell.surface.albedo != Vec3::ZERO {
-            self.lights[i] = (look.lights)(&cell.point, (cell.number, 1));
+            self.lights[i] = (look.glance)(&cell.point, cell.number);
         }
     }
 }
@@ -341,6 +339,9 @@ impl Baking<'_> {
         let (table, surfels) = (dice.table(), dice.surfels(back));
         let surfels = surfels.start as usize..surfels.end as usize;
         let (center, albedo) = (&self.lights[surfels.clone()], &albedo[surfels]);
+        if center.iter().all(|light| *light == Vec3::ZERO) {
+            return Ok(());
+        }
         let world = PlacedMesh::of(self.scene, prim);
         let side = Side {
             world: &world,
@@ -366,8 +367,6 @@ impl Baking<'_> {
                         };
                     let irradiance = if is_steep {
                         quartered(self.look, &side, t, part, (row, column))
-                    } else if center[cell] == Vec3::ZERO && albedo[cell] != Vec3::ZERO {
-                        looked_at_again(self.look, &side, t, part, (row, column))
                     } else {
                         center[cell]
                     };
@@ -379,12 +378,8 @@ impl Baking<'_> {
                 let (members, cell) = (table.members(cell), cell as usize);
                 let is_steep =
                     albedo[cell] != Vec3::ZERO && steepness.at_triangles(&world, members);
-                let is_dark = center[cell] == Vec3::ZERO && albedo[cell] != Vec3::ZERO;
                 let irradiance = if is_steep {
-                    mean_light(self.look, &side, (members, STEEP_PLACES))
-                } else if is_dark {
-                    // Its triangles are several places of their own.
-                    mean_light(self.look, &side, (members, 1))
+                    mean_light(self.look, &side, members)
                 } else {
                     center[cell]
                 };

@@ -105,30 +105,18 @@ impl AreaLight {
         unshadowed * self.visible_fraction(patterns, stand)
     }
 
-    /// Irradiance if all of the light were as visible as `places` spread over it, which `turn` chooses: over all numbers
-    /// the mean visibility. So few of them never decide that the others need no look.
-    pub(super) fn glance(
-        &self,
-        patterns: &Patterns,
-        stand: &Stand<'_>,
-        (turn, places): (usize, usize),
-    ) -> Vec3 {
+    /// Irradiance if all of the light were as visible as one place on it, the one numbered `turn`.
+    pub(super) fn glance(&self, patterns: &Patterns, stand: &Stand<'_>, turn: usize) -> Vec3 {
         let unshadowed = self.unshadowed(patterns, stand.point) * self.radiance;
         if unshadowed == Vec3::ZERO {
             return Vec3::ZERO;
         }
         let squares = &patterns.shadow;
-        let places = if self.is_sharp() { 1 } else { places };
-        let visible = |place: usize| {
-            let turn = turn + place * squares.len() / places;
-            (0..squares.len())
-                .map(|step| squares[(turn + step) % squares.len()])
-                .find(|&square| self.shines_from(patterns, stand.point, square))
-                .map_or(0.0, |square| self.visible_at(stand, square))
-        };
-        #[expect(clippy::cast_precision_loss, reason = "a few places")]
-        let share = 1.0 / places as f32;
-        unshadowed * ((0..places).map(visible).sum::<f32>() * share)
+        let visible = (0..squares.len())
+            .map(|step| squares[(turn + step) % squares.len()])
+            .find(|&square| self.shines_from(patterns, stand.point, square))
+            .map_or(0.0, |square| self.visible_at(stand, square));
+        unshadowed * visible
     }
 
     /// Without extent.

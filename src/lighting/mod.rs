@@ -280,12 +280,12 @@ impl Lighting {
     pub fn glimpse(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
         let stand = Stand::new(tracer, point);
         let sky = environment::glimpse(self.fine.sky.cells(), &stand, number);
-        self.glance_by(&self.fine, &stand, (number, 1)) + sky
+        self.glance_by(&self.fine, &stand, number) + sky
     }
 
-    fn glance_by(&self, detail: &Detail, stand: &Stand<'_>, places: (usize, usize)) -> Vec3 {
+    fn glance_by(&self, detail: &Detail, stand: &Stand<'_>, number: usize) -> Vec3 {
         (self.lights.iter())
-            .map(|light| light.glance(&detail.lights, stand, places))
+            .map(|light| light.glance(&detail.lights, stand, number))
             .sum()
     }
 
@@ -331,11 +331,16 @@ fn in_blocks(
 pub struct SurfelLighting<'a>(&'a Lighting);
 
 impl SurfelLighting<'_> {
-    /// Irradiance from all UsdLux lights but domes by rays to places spread over each, from the number
-    /// `places.0` on and `places.1` many: exact out of penumbrae, and in the mean over all numbers the truth.
-    pub fn lights(&self, tracer: &Tracer, point: &ShadePoint, places: (usize, usize)) -> Vec3 {
+    /// Irradiance from all UsdLux lights but domes.
+    pub fn lights(&self, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
+        self.0.lights_by(&self.0.coarse, tracer, point)
+    }
+
+    /// The same with one ray a light, to a place on it that `number` chooses: exact out of penumbrae; in them either
+    /// nothing or all of the light, and in the mean over all numbers the truth.
+    pub fn glance(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
         let stand = Stand::new(tracer, point);
-        self.0.glance_by(&self.0.coarse, &stand, places)
+        self.0.glance_by(&self.0.coarse, &stand, number)
     }
 
     /// Irradiance from dome lights and emissive surfaces at each of `points`; faster where neighbors follow each other.

@@ -426,12 +426,7 @@ fn glances_at_a_light_average_to_its_irradiance() {
     let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
     for x in [-0.4, -0.1, 0.0, 0.3] {
         let point = up_at(Vec3::new(x, 0.0, 0.0));
-        let glance = |number| {
-            lighting
-                .for_surfels()
-                .lights(&tracer, &point, (number, 1))
-                .x
-        };
+        let glance = |number| lighting.for_surfels().glance(&tracer, &point, number).x;
         let mean = (0..16).map(glance).sum::<f32>() / 16.0;
         let truth = lighting.lights(&tracer, &point).x;
         let open = PI * 0.25;

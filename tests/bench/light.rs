@@ -109,7 +109,7 @@ fn rect_light_at_a_glance(bencher: Bencher<'_, '_>) {
             .counter(ItemsCount::new(points.len()))
             .bench_local(|| {
                 let glances = (points.iter().enumerate())
-                    .map(|(number, point)| lighting.lights(tracer, point, (number, 1)));
+                    .map(|(number, point)| lighting.glance(tracer, point, number));
                 glances.sum::<glam::Vec3>()
             });
     });
