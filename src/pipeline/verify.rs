@@ -91,7 +91,14 @@ fn sweep(
         (&mut *report, diagnostics),
     )?;
     let lit = Lit::from(lit);
-    let finest = {
+    let finer = Lighting::new(world.shader, truth_samples(), diagnostics);
+    let is_exact = Stand::new(world, &lit, &placed, &indirect, &job.gather)
+        .rays_lit_at_hits(&finer, RaysSettings::default())
+        .is_some();
+    // Where light can be found at hits, the truth has no surfels.
+    let finest = if is_exact {
+        Lit::from(Light::None)
+    } else {
         let finer = GatherJob {
             spacing: job.gather.spacing.map(|spacing| spacing / FINER.sqrt()),
             surfels: Some(finer_count(lit.light.len())),
@@ -104,7 +111,6 @@ fn sweep(
         populations.push(("surfels", receivers::surfel::place(&baked.cloud)));
     }
     let mut found = empty(job, world, lit.light.len());
-    let finer = Lighting::new(world.shader, truth_samples(), diagnostics);
     let asked = asked(world);
     let arena = Arena {
         world,
@@ -216,7 +222,7 @@ struct Arena<'a> {
     world: &'a World<'a>,
     job: &'a VerifyJob,
     lit: &'a Lit,
-    /// Surfels of the truth.
+    /// Surfels of the truth, where it needs some.
     finest: &'a Lit,
     /// For the octree, which all share.
     surfels: &'a Stand<'a>,
@@ -254,7 +260,15 @@ impl Arena<'_> {
         found.rows.extend(rows);
         if name == "pixels" {
             let seen = pixels(self.world, self.job, PICTURE_WIDTH)?;
-            let pictures = pictures(&question, &seen, self.job.truth_rays, &stand, diagnostics)?;
+            let half = |turn: f32| {
+                let settings = RaysSettings {
+                    turn,
+                    ..truth.rays_settings((self.job.truth_rays / 4).min(PICTURE_RAYS))
+                };
+                Box::new(self.truth((&stand, &truth), settings)) as Box<dyn Method + '_>
+            };
+            let halves = [half(0.3), half(0.58)];
+            let pictures = pictures(&question, &seen, halves, diagnostics)?;
             found.pictures.extend(pictures);
         }
         Ok(())
@@ -281,6 +295,16 @@ impl Arena<'_> {
         TOLERANCES.into_iter().map(tune).collect()
     }
 
+    /// Rays that find light anew at every hit, on the sides that have surfels on `stand`; or that read the finest surfels.
+    fn truth<'s>(
+        &'s self,
+        (stand, finest): (&'s Stand<'_>, &'s Stand<'_>),
+        settings: RaysSettings,
+    ) -> RaysEngine<'s> {
+        let exact = stand.rays_lit_at_hits(self.finer, settings);
+        exact.unwrap_or_else(|| finest.rays_with(settings))
+    }
+
     fn question<'s>(
         &'s self,
         aov: Aov,
@@ -293,9 +317,7 @@ impl Arena<'_> {
                 turn,
                 ..truth.rays_settings(self.job.truth_rays)
             };
-            let exact = truth.rays_lit_at_hits(self.finer, settings);
-            let engine: RaysEngine<'s> = exact.unwrap_or_else(|| truth.rays_with(settings));
-            Box::new(engine) as Box<dyn Method + 's>
+            Box::new(self.truth((stand, truth), settings)) as Box<dyn Method + 's>
         };
         let swept = Swept {
             world: self.world,
@@ -323,25 +345,17 @@ const PICTURE_RAYS: u32 = 2048;
 const SCALES: (f64, f64) = (0.01, 0.2);
 
 /// Errors of few and many rays and of the paper's engine as a camera sees them.
-fn pictures(
-    question: &Question<'_>,
+fn pictures<'s>(
+    question: &'s Question<'_>,
     all: &Receivers,
-    truth_rays: u32,
-    stand: &Stand<'_>,
+    halves: [Box<dyn Method + 's>; 2],
     diagnostics: &Diagnostics,
 ) -> Result<Vec<ErrorPicture>, Error> {
-    let half = |turn: f32| {
-        let settings = RaysSettings {
-            turn,
-            ..stand.rays_settings((truth_rays / 4).min(PICTURE_RAYS))
-        };
-        Box::new(stand.rays_with(settings)) as Box<dyn Method + '_>
-    };
     let shown = Question {
         aov: question.aov,
         scene: question.scene,
         truth_scene: question.truth_scene,
-        truth: [half(0.3), half(0.58)],
+        truth: halves,
         subjects: Vec::new(),
     };
     let truth: Truth = truth(&shown, all, diagnostics)?;
