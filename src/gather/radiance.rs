@@ -1,4 +1,4 @@
-//! Where rays read the radiance of what they hit: the surfels. Shading is never evaluated at a hit.
+//! Where rays read the radiance of what they hit: the surfels, or the light found anew at hits too near for these.
 
 use super::at_hits::HitLight;
 use crate::surfels::{DiceMap, NearestMap, SurfelCloud};

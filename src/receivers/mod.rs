@@ -34,6 +34,18 @@ pub struct Receivers {
 }
 
 impl Receivers {
+    /// Where to lift receiver `i` along, if it may lie on an edge or corner: its shading normal, which leads away from all
+    /// faces there, or, where that is far from it, the normal of its plane: between two walls of one mesh the shading
+    /// normal leads away from both.
+    pub fn rim_normal(&self, i: usize) -> Vec3 {
+        let (shading, plane) = (self.normal[i], self.geometric_normal[i]);
+        if shading.dot(plane) > 0.5 {
+            shading
+        } else {
+            plane
+        }
+    }
+
     /// Number of receivers.
     pub fn len(&self) -> usize {
         self.position.len()

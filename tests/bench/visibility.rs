@@ -313,13 +313,7 @@ fn triangles(scene: &Scene) -> Vec<Vec3> {
 
 /// Origin of the rays from vertex `i`, where the rays engine puts it.
 fn lifted(tracer: &Tracer, receivers: &Receivers, i: usize) -> Vec3 {
-    let (shading, plane) = (receivers.normal[i], receivers.geometric_normal[i]);
-    let along = if shading.dot(plane) > 0.5 {
-        shading
-    } else {
-        plane
-    };
-    tracer.lift(receivers.position[i], along)
+    tracer.lift(receivers.position[i], receivers.rim_normal(i))
 }
 
 /// Neighbors next to each other, those turned to one side first.

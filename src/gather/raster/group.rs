@@ -50,16 +50,7 @@ impl Group {
     pub(super) fn new(tracer: &Tracer, receivers: &Receivers, members: &[usize]) -> Self {
         let pick = |column: &[Vec3]| -> Vec<Vec3> { members.iter().map(|&i| column[i]).collect() };
         let (positions, normals) = (pick(&receivers.position), pick(&receivers.normal));
-        let lift = |&i: &usize| {
-            let (shading, plane) = (receivers.normal[i], receivers.geometric_normal[i]);
-            // Between two walls of one mesh the shading normal leads away from both.
-            let along = if shading.dot(plane) > 0.5 {
-                shading
-            } else {
-                plane
-            };
-            tracer.lift(receivers.position[i], along)
-        };
+        let lift = |&i: &usize| tracer.lift(receivers.position[i], receivers.rim_normal(i));
         let center = positions.iter().sum::<Vec3>() / positions.len() as f32;
         let distance = |p: &Vec3| p.distance(center);
         let last = positions.len() - 1;

@@ -29,13 +29,8 @@ impl Stand {
         let SurfacePoint { u, v, .. } = receivers.surface[i];
         let on_rim = u.min(v).min(1.0 - u - v) < RIM;
         if on_rim {
-            // Between two walls of one mesh the shading normal leads away from both.
             Self {
-                lift: if shading.dot(plane) > 0.5 {
-                    shading
-                } else {
-                    plane
-                },
+                lift: receivers.rim_normal(i),
                 mirror: None,
             }
         } else {
