@@ -11,6 +11,13 @@ pub struct Bounds3 {
     pub max: Vec3,
 }
 
+impl Default for Bounds3 {
+    /// The empty box.
+    fn default() -> Self {
+        Self::EMPTY
+    }
+}
+
 impl Bounds3 {
     /// Contains nothing; the neutral element of [`Self::union`].
     pub const EMPTY: Self = Self {

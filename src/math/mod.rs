@@ -3,6 +3,7 @@
 pub mod bits;
 pub mod bounds;
 pub mod frame;
+pub mod packing;
 pub mod sequence;
 pub mod sh;
 pub mod solid_angle;
