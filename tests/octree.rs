@@ -548,14 +548,14 @@ fn a_sphere_that_is_one_node_covers_its_disk() {
         radiosity: |_| PI,
     }];
     let octree = Octree::new(&cloud(&sphere, 5_000));
-    let root = &octree.nodes()[0];
+    let root = octree.node(0);
     assert!(!root.is_flat());
     for i in 0..100 {
         let direction = Shape::Sphere(Vec3::ZERO, 1.0)
             .place(hash(2 * i), hash(2 * i + 1))
             .normal;
         let seen = octree
-            .appearance(root, direction)
+            .appearance(&root, direction)
             .expect("a sphere shows a front to everyone");
         let disk = PI * radius * radius;
         assert!(

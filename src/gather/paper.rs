@@ -118,11 +118,11 @@ impl<'a> PaperEngine<'a> {
         splats.clear();
         let counts = traverse(self.octree, (position, normal), &self.cut, |element| {
             splats.extend(match element {
-                Element::Cluster(node) => self.cluster_splat(node, position),
+                Element::Cluster(node) => self.cluster_splat(&node, position),
                 Element::Surfel(surfel, leaf) => {
                     self.surfel_splat(surfel, (position, normal))
                         .map(|splat| Splat {
-                            is_scattered: leaf.is_scattered(),
+                            is_scattered: leaf.is_scattered,
                             ..splat
                         })
                 }
@@ -149,7 +149,7 @@ impl<'a> PaperEngine<'a> {
             distance,
             reflected: seen.reflected,
             emitted: seen.emitted,
-            is_scattered: node.is_scattered(),
+            is_scattered: node.is_scattered,
             shape: Shape::Rectangle {
                 projected_area: seen.projected_area,
                 covariance: node.covariance,
@@ -163,13 +163,13 @@ impl<'a> PaperEngine<'a> {
         (position, receiver_normal): (Vec3, Vec3),
     ) -> Option<Splat> {
         let surfels = self.octree.surfels();
-        let offset = surfels.position[surfel] - position;
-        let (normal, radius) = (surfels.normal[surfel], surfels.radius[surfel]);
+        let offset = surfels.position(surfel) - position;
+        let (normal, radius) = (surfels.normal(surfel), surfels.radius(surfel));
         if self.own.has(surfels, surfel, (position, receiver_normal)) {
             return None;
         }
         let distance = offset.length();
-        let area = surfels.area[surfel];
+        let area = surfels.area(surfel);
         let shape = if area > self.ray_cast_solid_angle * distance * distance {
             Shape::Disk { normal, radius }
         } else {
@@ -181,8 +181,8 @@ impl<'a> PaperEngine<'a> {
         Some(Splat {
             offset,
             distance,
-            reflected: surfels.reflected[surfel],
-            emitted: surfels.emitted[surfel],
+            reflected: surfels.reflected(surfel),
+            emitted: surfels.emitted(surfel),
             is_scattered: false,
             shape,
         })

@@ -16,11 +16,11 @@ pub struct CutSettings {
 
 /// A part of the cut.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Element<'a> {
+pub enum Element {
     /// A cluster, small and outside its own ball.
-    Cluster(&'a Node),
+    Cluster(Node),
     /// A surfel of a leaf, by its index in leaf order.
-    Surfel(usize, &'a Node),
+    Surfel(usize, Node),
 }
 
 /// Work done for a receiver, or for many.
@@ -36,26 +36,27 @@ pub struct CutCounts {
 
 /// Hand every element of the cut seen from `position` to `visit`, in the order of the tree. Elements wholly under the
 /// horizon of the unit `normal`, wholly averted or too far away are left out.
-pub fn traverse<'a>(
-    octree: &'a Octree,
+pub fn traverse(
+    octree: &Octree,
     (position, normal): (Vec3, Vec3),
     settings: &CutSettings,
-    mut visit: impl FnMut(Element<'a>),
+    mut visit: impl FnMut(Element),
 ) -> CutCounts {
     let mut counts = CutCounts::default();
-    let mut pending: Vec<&Node> = octree.nodes().first().into_iter().collect();
-    while let Some(node) = pending.pop() {
+    let mut pending: Vec<usize> = (0..octree.node_count().min(1)).collect();
+    while let Some(index) = pending.pop() {
+        let node = octree.node(index);
         counts.nodes += 1;
-        if is_unseen(node, position, normal, settings.max_distance) {
+        if is_unseen(&node, position, normal, settings.max_distance) {
             continue;
         }
-        if is_small(node, position, settings.max_solid_angle) {
+        if is_small(&node, position, settings.max_solid_angle) {
             counts.clusters += 1;
             visit(Element::Cluster(node));
             continue;
         }
         match node.kind() {
-            NodeKind::Inner(children) => pending.extend(octree.nodes()[children].iter().rev()),
+            NodeKind::Inner(children) => pending.extend(children.rev()),
             NodeKind::Leaf(surfels) => {
                 for surfel in surfels {
                     if is_surfel_seen(octree, surfel, (position, normal), settings.max_distance) {
@@ -92,9 +93,9 @@ fn is_surfel_seen(
     max_distance: f32,
 ) -> bool {
     let surfels = octree.surfels();
-    let offset = surfels.position[surfel] - position;
-    surfels.normal[surfel].dot(offset) < 0.0
-        && offset.dot(normal) + surfels.radius[surfel] > 0.0
+    let offset = surfels.position(surfel) - position;
+    surfels.normal(surfel).dot(offset) < 0.0
+        && offset.dot(normal) + surfels.radius(surfel) > 0.0
         && offset.length_squared() <= max_distance * max_distance
 }
 
@@ -125,7 +126,7 @@ mod tests {
         let counts = traverse(octree, place, &settings, |element| {
             area += match element {
                 Element::Cluster(node) => node.area,
-                Element::Surfel(surfel, _) => octree.surfels().area[surfel],
+                Element::Surfel(surfel, _) => octree.surfels().area(surfel),
             };
         });
         (area, counts)

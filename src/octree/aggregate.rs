@@ -3,9 +3,10 @@
 //! Sums are f64, added in the order of the children; second moments are carried about each node's own center, so that
 //! nothing cancels.
 
+use super::LeafSurfels;
 use super::node::{Lobes, NO_LOBES, Node};
+use super::packed::{PackedLobe, PackedLobes, PackedNode};
 use super::split::Cell;
-use super::{LeafSurfels, NodeKind};
 use crate::math::Bounds3;
 use crate::math::sh::{CLAMPED_COSINE, Sh9};
 use glam::{DVec3, Vec3};
@@ -16,11 +17,21 @@ use std::f32::consts::PI;
 /// A cap of half-angle 26° has 0.95. At 0.9 the occlusion by a sphere of 5000 surfels, four radii away, is 5 % low.
 const LEAST_FLATNESS: f64 = 0.95;
 
+/// Least thickness of a scattered cluster: its variance along the mean normal by that across it. A ball of leaves has 1,
+/// the part of a sphere that falls into one class of normals at most 0.1.
+const SCATTERED_THICKNESS: f64 = 0.3;
+
+/// Least absolute [`Part::convexity`] of a surface. Sixteen leaves have 0 ± 0.15.
+const SCATTERED_CONVEXITY: f64 = 0.3;
+
+/// Fewer cells than this are not worth a thread.
+const FEW: usize = 32;
+
 /// Second moments: xx, yy, zz, xy, xz, yz.
 type Moments = [f64; 6];
 
 /// What a node or a surfel adds to its parent.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 struct Part {
     area: f64,
     center: DVec3,
@@ -37,36 +48,60 @@ struct Part {
     radius: f32,
     normal: Vec3,
     spread: f32,
-    lobes: u32,
+    /// If its normals are spread.
+    lobes: Option<Box<Lobes>>,
 }
 
-/// All nodes, breadth first, and the lobes that they refer to.
-pub(super) fn aggregate(levels: &[Vec<Cell>], surfels: &LeafSurfels) -> (Vec<Node>, Vec<Lobes>) {
-    let mut lobes = Vec::new();
-    let mut nodes_of_level: Vec<Vec<Node>> = Vec::with_capacity(levels.len());
+/// All there is to know but the surfels.
+#[derive(Debug, Default)]
+pub(super) struct Aggregate {
+    /// Breadth first.
+    pub nodes: Vec<PackedNode>,
+    pub lobes: PackedLobes,
+    pub bounds: Bounds3,
+}
+
+/// Aggregate all cells, from the leaves up.
+pub(super) fn aggregate(levels: &[Vec<Cell>], surfels: &LeafSurfels) -> Aggregate {
+    let mut whole = Aggregate::default();
+    let mut nodes_of_level: Vec<Vec<PackedNode>> = Vec::with_capacity(levels.len());
     let mut below: Vec<Part> = Vec::new();
-    for (depth, cells) in levels.iter().enumerate().rev() {
-        let first_below: usize = levels[..=depth].iter().map(Vec::len).sum();
-        let mut summed: Vec<(Part, Option<Lobes>)> = cells
-            .par_iter()
-            .map(|cell| sum_cell(cell, surfels, &below, &lobes))
-            .collect();
-        for (part, own_lobes) in &mut summed {
-            if let Some(own_lobes) = own_lobes {
-                part.lobes = index(lobes.len());
-                lobes.push(*own_lobes);
-            }
-        }
-        below = summed.into_iter().map(|(part, _)| part).collect();
-        let nodes = below.par_iter().zip(cells);
-        nodes_of_level.push(
-            nodes
-                .map(|(part, cell)| part.node(cell, first_below))
-                .collect(),
-        );
+    let mut first_below: usize = levels.iter().map(Vec::len).sum();
+    for cells in levels.iter().rev() {
+        let sums = cells.par_iter().with_min_len(FEW);
+        let parts: Vec<Part> = sums.map(|cell| sum_cell(cell, surfels, &below)).collect();
+        let places = store_lobes(&parts, &mut whole.lobes);
+        let rows = parts.par_iter().zip(cells).zip(&places);
+        let pack = |((part, cell), &lobes): ((&Part, &Cell), &u32)| {
+            PackedNode::of(&part.node(cell, (first_below, lobes)))
+        };
+        nodes_of_level.push(rows.with_min_len(FEW).map(pack).collect());
+        first_below -= cells.len();
+        below = parts;
     }
     nodes_of_level.reverse();
-    (nodes_of_level.into_iter().flatten().collect(), lobes)
+    whole.nodes = nodes_of_level.into_iter().flatten().collect();
+    whole.bounds = below.first().map_or(Bounds3::EMPTY, |root| root.bounds);
+    whole
+}
+
+/// Append the lobes of `parts`; for each part their place or [`NO_LOBES`].
+fn store_lobes(parts: &[Part], all: &mut PackedLobes) -> Vec<u32> {
+    let mut next = all.len();
+    let place = |part: &Part| match part.lobes {
+        None => NO_LOBES,
+        Some(_) => {
+            next += 1;
+            index(next - 1)
+        }
+    };
+    let places = parts.iter().map(place).collect();
+    let lobes = parts.par_iter().with_min_len(FEW);
+    let packed: Vec<PackedLobe> = lobes
+        .filter_map(|part| part.lobes.as_deref().map(PackedLobe::of))
+        .collect();
+    packed.iter().for_each(|lobe| all.push(lobe));
+    places
 }
 
 /// A count of nodes, lobes or surfels as stored.
@@ -75,36 +110,34 @@ fn index(value: usize) -> u32 {
         .expect("a tree has fewer nodes than surfels, and a cloud less than 2³² of those")
 }
 
-/// The aggregate of one cell, from its surfels or from its children in `below`; lobes if its normals are spread.
-fn sum_cell(
-    cell: &Cell,
-    surfels: &LeafSurfels,
-    below: &[Part],
-    lobes: &[Lobes],
-) -> (Part, Option<Lobes>) {
-    let leaf_parts: Vec<Part>;
-    let parts = if cell.children.is_empty() {
-        leaf_parts = cell
-            .surfels
-            .clone()
-            .map(|i| Part::of_surfel(surfels, i))
+/// The aggregate of one cell, from its surfels or from its children `below`; with lobes if its normals are spread.
+fn sum_cell(cell: &Cell, surfels: &LeafSurfels, below: &[Part]) -> Part {
+    let is_spread = |sum: &Part| sum.facing.length() < LEAST_FLATNESS * sum.area;
+    if cell.children.is_empty() {
+        let own: Vec<Surfel> = (cell.surfels.clone())
+            .map(|i| Surfel::of(surfels, i))
             .collect();
-        &leaf_parts
-    } else {
-        &below[cell.children.clone()]
-    };
+        let sum = Part::of_leaf(&own);
+        let lobes = is_spread(&sum).then(|| Box::new(lobes_of_leaf(&own)));
+        return Part { lobes, ..sum };
+    }
+    let parts = &below[cell.children.clone()];
     let sum = Part::sum(parts);
-    let is_flat = sum.facing.length() >= LEAST_FLATNESS * sum.area;
-    (sum, (!is_flat).then(|| sum_lobes(parts, lobes)))
+    let lobes = is_spread(&sum).then(|| Box::new(sum_lobes(parts)));
+    Part { lobes, ..sum }
 }
 
 /// Lobes of all parts: their own, or those of a flat part.
-fn sum_lobes(parts: &[Part], lobes: &[Lobes]) -> Lobes {
+fn sum_lobes(parts: &[Part]) -> Lobes {
     let mut sum = Lobes::default();
     for part in parts {
-        let own = match part.lobes {
-            NO_LOBES => part.flat_lobes(),
-            index => lobes[index as usize],
+        let flat;
+        let own = match &part.lobes {
+            Some(own) => own,
+            None => {
+                flat = part.flat_lobes();
+                &flat
+            }
         };
         sum.area += own.area;
         for channel in 0..3 {
@@ -115,28 +148,99 @@ fn sum_lobes(parts: &[Part], lobes: &[Lobes]) -> Lobes {
     sum
 }
 
+/// Lobes of a leaf.
+fn lobes_of_leaf(surfels: &[Surfel]) -> Lobes {
+    let mut sum = Lobes::default();
+    for one in surfels {
+        let cosine = Sh9::clamped_cosine(one.normal) * one.area;
+        sum.area += cosine;
+        let (reflected, emitted) = (one.reflected * PI, one.emitted * PI);
+        for channel in 0..3 {
+            sum.reflected[channel] += cosine * reflected[channel];
+        }
+        if emitted != Vec3::ZERO {
+            for channel in 0..3 {
+                sum.emitted[channel] += cosine * emitted[channel];
+            }
+        }
+    }
+    sum
+}
+
+/// A surfel of a leaf, unpacked.
+#[derive(Debug, Clone, Copy)]
+struct Surfel {
+    position: Vec3,
+    normal: Vec3,
+    radius: f32,
+    area: f32,
+    reflected: Vec3,
+    emitted: Vec3,
+}
+
+impl Surfel {
+    fn of(surfels: &LeafSurfels, i: usize) -> Self {
+        Self {
+            position: surfels.position(i),
+            normal: surfels.normal(i),
+            radius: surfels.radius(i),
+            area: surfels.area(i),
+            reflected: surfels.reflected(i),
+            emitted: surfels.emitted(i),
+        }
+    }
+}
+
 impl Part {
-    fn of_surfel(surfels: &LeafSurfels, i: usize) -> Self {
-        let (position, normal) = (surfels.position[i], surfels.normal[i]);
-        let (area, radius) = (f64::from(surfels.area[i]), surfels.radius[i]);
-        let power = |radiance: Vec3| radiance.as_dvec3() * (area * std::f64::consts::PI);
-        let reach = radius * (Vec3::ONE - normal * normal).max(Vec3::ZERO).map(f32::sqrt);
+    /// The sum of the surfels of a leaf (at least one). Moments are taken about the first and moved.
+    fn of_leaf(surfels: &[Surfel]) -> Self {
+        let about = surfels[0].position;
+        let (mut area, mut shift, mut moments) = (0.0, DVec3::ZERO, [0.0; 6]);
+        let (mut facing, mut outward) = (DVec3::ZERO, 0.0);
+        let (mut reflected, mut emitted) = (DVec3::ZERO, DVec3::ZERO);
+        let mut bounds = Bounds3::EMPTY;
+        for one in surfels {
+            let (own, normal) = (f64::from(one.area), one.normal.as_dvec3());
+            let offset = (one.position - about).as_dvec3();
+            area += own;
+            shift += offset * own;
+            facing += normal * own;
+            outward += normal.dot(offset) * own;
+            reflected += one.reflected.as_dvec3() * own;
+            emitted += one.emitted.as_dvec3() * own;
+            let (place, square) = (products(offset), square_moments(own, normal));
+            for (sum, (place, square)) in moments.iter_mut().zip(place.iter().zip(square)) {
+                *sum += own * place + square;
+            }
+            let reach = (Vec3::ONE - one.normal * one.normal).max(Vec3::ZERO);
+            let reach = one.radius * reach.map(f32::sqrt);
+            bounds.min = bounds.min.min(one.position - reach);
+            bounds.max = bounds.max.max(one.position + reach);
+        }
+        let shift = if area > 0.0 {
+            shift / area
+        } else {
+            (bounds.center() - about).as_dvec3()
+        };
+        let center = about.as_dvec3() + shift;
+        let moved = products(shift);
+        let normal = facing
+            .as_vec3()
+            .try_normalize()
+            .unwrap_or(surfels[0].normal);
         Self {
             area,
-            center: position.as_dvec3(),
-            moments: square_moments(area, normal.as_dvec3()),
-            facing: normal.as_dvec3() * area,
-            outward: 0.0,
-            reflected_power: power(surfels.reflected[i]),
-            emitted_power: power(surfels.emitted[i]),
-            bounds: Bounds3 {
-                min: position - reach,
-                max: position + reach,
-            },
-            radius,
+            center,
+            moments: std::array::from_fn(|i| moments[i] - area * moved[i]),
+            facing,
+            outward: outward - facing.dot(shift),
+            reflected_power: reflected * std::f64::consts::PI,
+            emitted_power: emitted * std::f64::consts::PI,
+            bounds,
+            radius: radius_of_leaf(center.as_vec3(), surfels, &bounds),
             normal,
-            spread: 0.0,
-            lobes: NO_LOBES,
+            spread: spread_of_leaf(normal, surfels),
+            lobes: None,
         }
     }
 
@@ -172,7 +276,7 @@ impl Part {
             radius: radius_about(center.as_vec3(), parts, &bounds),
             normal,
             spread: spread_about(normal, parts),
-            lobes: NO_LOBES,
+            lobes: None,
         }
     }
 
@@ -182,7 +286,8 @@ impl Part {
         std::array::from_fn(|i| self.moments[i] + self.area * outer[i])
     }
 
-    /// See [`Node::convexity`].
+    /// How much the normals point away from the center: mean of normal · (position − center) by the surfels' rms distance
+    /// from it. 1 for a sphere, 0 for leaves, −1 for a hollow seen from inside.
     fn convexity(&self) -> f64 {
         let [xx, yy, zz, ..] = self.moments;
         let scale = (self.area * (xx + yy + zz)).sqrt();
@@ -191,6 +296,18 @@ impl Part {
         } else {
             0.0
         }
+    }
+
+    /// See [`Node::is_scattered`], but for flat ones.
+    fn is_scattered(&self) -> bool {
+        let [xx, yy, zz, xy, xz, yz] = self.moments;
+        let n = self.normal.as_dvec3();
+        let thickness = xx * n.x * n.x
+            + yy * n.y * n.y
+            + zz * n.z * n.z
+            + 2.0 * (xy * n.x * n.y + xz * n.x * n.z + yz * n.y * n.z);
+        let width = 0.5 * (xx + yy + zz - thickness);
+        thickness > SCATTERED_THICKNESS * width && self.convexity().abs() < SCATTERED_CONVEXITY
     }
 
     /// The lobes of a flat part. Normals scattered about their mean, of mean length f, weaken band l of the clamped
@@ -220,35 +337,34 @@ impl Part {
         clippy::cast_possible_truncation,
         reason = "f64 sums are stored as f32"
     )]
-    fn node(&self, cell: &Cell, first_below: usize) -> Node {
+    fn node(&self, cell: &Cell, (first_below, lobes): (usize, u32)) -> Node {
         let per_area = if self.area > 0.0 {
             1.0 / self.area
         } else {
             0.0
         };
-        let kind = if cell.children.is_empty() {
-            NodeKind::Leaf(cell.surfels.clone())
+        let is_leaf = cell.children.is_empty();
+        let (first, count) = if is_leaf {
+            (cell.surfels.start, cell.surfels.len())
         } else {
-            NodeKind::Inner(first_below + cell.children.start..first_below + cell.children.end)
+            (first_below + cell.children.start, cell.children.len())
         };
-        let is_leaf = matches!(kind, NodeKind::Leaf(_));
-        let (NodeKind::Leaf(range) | NodeKind::Inner(range)) = kind;
         Node {
-            bounds: self.bounds,
             center: self.center.as_vec3(),
             radius: self.radius,
             normal: self.normal,
             spread: self.spread,
             area: self.area as f32,
             facing_area: self.facing.length() as f32,
-            convexity: self.convexity() as f32,
+            size: self.bounds.max - self.bounds.min,
             covariance: self.moments.map(|moment| (moment * per_area) as f32),
             reflected_power: self.reflected_power.as_vec3(),
             emitted_power: self.emitted_power.as_vec3(),
-            first: index(range.start),
-            count: index(range.len()),
+            first: index(first),
+            count: index(count),
             is_leaf,
-            lobes: self.lobes,
+            is_scattered: lobes != NO_LOBES && self.is_scattered(),
+            lobes,
         }
     }
 }
@@ -260,6 +376,22 @@ fn radius_about(center: Vec3, parts: &[Part], bounds: &Bounds3) -> f32 {
     });
     let farthest_corner = (bounds.max - center).max(center - bounds.min);
     around_balls.min(farthest_corner.length())
+}
+
+/// Radius of a ball about `center` around all disks: the smaller of the one around their balls and around the box.
+fn radius_of_leaf(center: Vec3, surfels: &[Surfel], bounds: &Bounds3) -> f32 {
+    let around_balls = surfels.iter().fold(0.0_f32, |radius, one| {
+        radius.max(center.distance(one.position) + one.radius)
+    });
+    let farthest_corner = (bounds.max - center).max(center - bounds.min);
+    around_balls.min(farthest_corner.length())
+}
+
+/// Half-angle of a cone about `normal` around all normals, by the longest chord: exact for small angles too.
+fn spread_of_leaf(normal: Vec3, surfels: &[Surfel]) -> f32 {
+    let chord = |one: &Surfel| one.normal.distance_squared(normal);
+    let longest = surfels.iter().map(chord).fold(0.0, f32::max).sqrt();
+    2.0 * (0.5 * longest).min(1.0).asin()
 }
 
 /// Half-angle of a cone about `normal` around the cones of all parts, at most π.

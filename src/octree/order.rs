@@ -1,5 +1,6 @@
 //! [`SurfelCloud`] → surfels in the order of the tree: by class of normal, then along the Morton curve.
 
+use super::radix;
 use crate::math::{Bounds3, bits};
 use crate::surfels::SurfelCloud;
 use glam::Vec3;
@@ -33,27 +34,24 @@ pub(super) struct Entry {
 
 /// All surfels of `cloud`, sorted by (key, id): a total order, so the result does not depend on threads.
 pub(super) fn sort(cloud: &SurfelCloud) -> Vec<Entry> {
-    let bounds = cloud
-        .position
-        .par_iter()
-        .map(|&position| Bounds3::around([position]))
+    let bounds = (cloud.position.par_chunks(CHUNK))
+        .map(|chunk| Bounds3::around(chunk.iter().copied()))
         .reduce(|| Bounds3::EMPTY, Bounds3::union);
     let edge = (bounds.max - bounds.min).max_element();
     let cells_per_unit = if edge > 0.0 { CELLS / edge } else { 0.0 };
     let count = u32::try_from(cloud.len()).expect("a cloud has less than 2³² surfels");
-    let mut entries: Vec<Entry> = (0..count)
-        .into_par_iter()
-        .map(|id| {
-            let cell = (cloud.position[id as usize] - bounds.min) * cells_per_unit;
-            Entry {
-                key: class(cloud.normal[id as usize]) << CLASS_SHIFT | morton(cell),
-                id,
-            }
-        })
-        .collect();
-    entries.par_sort_unstable_by_key(|entry| (entry.key, entry.id));
-    entries
+    let entries = (0..count).into_par_iter().map(|id| {
+        let cell = (cloud.position[id as usize] - bounds.min) * cells_per_unit;
+        Entry {
+            key: class(cloud.normal[id as usize]) << CLASS_SHIFT | morton(cell),
+            id,
+        }
+    });
+    radix::sort(entries.collect())
 }
+
+/// Positions looked at in one go.
+const CHUNK: usize = 1 << 14;
 
 /// Which of the six [`CLASS_AXES`] directions is the nearest, 0…5. Normals of one class lie within 55° of its axis.
 fn class(normal: Vec3) -> u64 {

@@ -12,6 +12,30 @@ pub(super) struct Cell {
     pub children: Range<usize>,
 }
 
+/// Most children of a node.
+const MOST: usize = 8;
+
+/// Where the parts of a range end; none for a leaf.
+#[derive(Debug, Clone, Copy, Default)]
+struct Parts {
+    ends: [usize; MOST],
+    count: usize,
+}
+
+impl Parts {
+    fn push(&mut self, end: usize) {
+        self.ends[self.count] = end;
+        self.count += 1;
+    }
+
+    /// The parts, the first of which begins at `start`.
+    fn ranges(&self, start: usize) -> impl Iterator<Item = Range<usize>> {
+        let ends = &self.ends[..self.count];
+        let starts = std::iter::once(start).chain(ends.iter().copied());
+        starts.zip(ends).map(|(start, &end)| start..end)
+    }
+}
+
 /// All levels of the tree over the sorted `keys`, the root's first; the cells of a level in the order of the keys.
 /// No level for no key.
 pub(super) fn levels(keys: &[u64]) -> Vec<Vec<Cell>> {
@@ -22,32 +46,33 @@ pub(super) fn levels(keys: &[u64]) -> Vec<Vec<Cell>> {
         return levels;
     }
     while !ranges.is_empty() {
-        let parts: Vec<Vec<Range<usize>>> = ranges
-            .par_iter()
-            .map(|range| children(keys, range))
-            .collect();
-        let mut next = 0;
+        let split = |range: &Range<usize>| children(keys, range);
+        let parts: Vec<Parts> = ranges.par_iter().with_min_len(FEW).map(split).collect();
+        let mut below = Vec::with_capacity(parts.iter().map(|parts| parts.count).sum());
         let cells = ranges.into_iter().zip(&parts).map(|(surfels, parts)| {
-            let first = next;
-            next += parts.len();
+            let first = below.len();
+            below.extend(parts.ranges(surfels.start));
             Cell {
                 surfels,
-                children: first..next,
+                children: first..below.len(),
             }
         });
         levels.push(cells.collect());
-        ranges = parts.into_iter().flatten().collect();
+        ranges = below;
     }
     levels
 }
 
+/// Fewer cells than this are not worth a thread.
+const FEW: usize = 64;
+
 /// The non-empty parts of `range`; none when it is a leaf. Classes of normals are split however few surfels there are,
 /// octants with one part only are skipped, and equal keys are cut by index.
-fn children(keys: &[u64], range: &Range<usize>) -> Vec<Range<usize>> {
+fn children(keys: &[u64], range: &Range<usize>) -> Parts {
     let (first, last) = (keys[range.start], keys[range.end - 1]);
     let one_class = first >> CLASS_SHIFT == last >> CLASS_SHIFT;
     if range.len() <= LEAF_SURFEL_COUNT && one_class {
-        return Vec::new();
+        return Parts::default();
     }
     match (first ^ last).checked_ilog2() {
         Some(highest_bit) => octants(keys, range, highest_bit / 3 * 3),
@@ -56,24 +81,25 @@ fn children(keys: &[u64], range: &Range<usize>) -> Vec<Range<usize>> {
 }
 
 /// Split where the key's bits from `shift` up change.
-fn octants(keys: &[u64], range: &Range<usize>, shift: u32) -> Vec<Range<usize>> {
-    let mut parts = Vec::new();
+fn octants(keys: &[u64], range: &Range<usize>, shift: u32) -> Parts {
+    let mut parts = Parts::default();
     let mut start = range.start;
     while start < range.end {
         let octant = keys[start] >> shift;
-        let length = keys[start..range.end].partition_point(|key| key >> shift == octant);
-        parts.push(start..start + length);
-        start += length;
+        start += keys[start..range.end].partition_point(|key| key >> shift == octant);
+        parts.push(start);
     }
     parts
 }
 
 /// Split coincident surfels into up to eight parts whose sizes differ by one at most.
-fn eighths(range: &Range<usize>) -> Vec<Range<usize>> {
-    let count = range.len().div_ceil(LEAF_SURFEL_COUNT).min(8);
-    (0..count)
-        .map(|i| range.start + range.len() * i / count..range.start + range.len() * (i + 1) / count)
-        .collect()
+fn eighths(range: &Range<usize>) -> Parts {
+    let mut parts = Parts::default();
+    let count = range.len().div_ceil(LEAF_SURFEL_COUNT).min(MOST);
+    for i in 1..=count {
+        parts.push(range.start + range.len() * i / count);
+    }
+    parts
 }
 
 #[cfg(test)]

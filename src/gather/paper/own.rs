@@ -35,11 +35,12 @@ pub(super) struct OwnSurface {
 
 impl OwnSurface {
     pub(super) fn new(surfels: &LeafSurfels) -> Self {
-        let sides = surfels.position.iter().zip(&surfels.normal);
-        let all: HashSet<_> = sides.map(|(&p, &n)| key(p, n)).collect();
-        let sides = (&surfels.position, &surfels.normal).into_par_iter();
+        let side = |i: usize| (surfels.position(i), surfels.normal(i));
+        let keys = (0..surfels.len()).map(|i| key(side(i).0, side(i).1));
+        let all: HashSet<_> = keys.collect();
+        let has_twin = |i: usize| all.contains(&key(side(i).0, -side(i).1));
         Self {
-            has_twin: sides.map(|(&p, &n)| all.contains(&key(p, -n))).collect(),
+            has_twin: (0..surfels.len()).into_par_iter().map(has_twin).collect(),
         }
     }
 
@@ -50,8 +51,8 @@ impl OwnSurface {
         surfel: usize,
         (position, receiver_normal): (Vec3, Vec3),
     ) -> bool {
-        let offset = surfels.position[surfel] - position;
-        let (normal, radius) = (surfels.normal[surfel], surfels.radius[surfel]);
+        let offset = surfels.position(surfel) - position;
+        let (normal, radius) = (surfels.normal(surfel), surfels.radius(surfel));
         let facing = normal.dot(receiver_normal);
         let height = -normal.dot(offset);
         let beside = (offset + normal * height).length();
@@ -101,7 +102,7 @@ mod tests {
         let own = OwnSurface::new(octree.surfels());
         let place = (Vec3::NEG_Z * depth, Vec3::Z);
         let seen =
-            |&i: &usize| octree.surfels().normal[i].z < 0.0 && own.has(octree.surfels(), i, place);
+            |&i: &usize| octree.surfels().normal(i).z < 0.0 && own.has(octree.surfels(), i, place);
         (0..normals.len()).filter(seen).count()
     }
 

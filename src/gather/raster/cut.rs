@@ -45,11 +45,11 @@ pub(super) struct Cut {
 pub(super) fn find(engine: &RasterEngine<'_>, group: &Group) -> Cut {
     let mut cut = Cut::default();
     let mut pending = vec![(0_usize, false)];
-    if engine.octree.nodes().is_empty() {
+    if engine.octree.node_count() == 0 {
         return cut;
     }
     while let Some((index, is_seen)) = pending.pop() {
-        let node = &engine.octree.nodes()[index];
+        let node = &engine.octree.node(index);
         if is_dark(node, group) {
             continue;
         }
@@ -112,9 +112,9 @@ impl Cut {
         (i, is_seen): (usize, bool),
     ) {
         let surfels = engine.octree.surfels();
-        let disk = (surfels.position[i], surfels.normal[i], surfels.radius[i]);
+        let disk = (surfels.position(i), surfels.normal(i), surfels.radius(i));
         let (position, normal, radius) = disk;
-        if surfels.reflected[i] == Vec3::ZERO
+        if surfels.reflected(i) == Vec3::ZERO
             || !group.is_above(position, normal, radius)
             || !group.is_faced_by(position, normal, radius)
         {
@@ -136,15 +136,15 @@ impl Cut {
         let share = if is_seen {
             Some(Vec3::ONE)
         } else {
-            let mean = surfels.reflected[i].element_sum();
+            let mean = surfels.reflected(i).element_sum();
             ask(engine, group, (&(place..place + 1), mean), near)
         };
         if let Some(share) = share.filter(|&share| share != Vec3::ZERO) {
             let area = Area {
                 position,
                 normal,
-                area: surfels.area[i],
-                light: surfels.reflected[i],
+                area: surfels.area(i),
+                light: surfels.reflected(i),
             };
             self.add(area, share, (place..place + 1, near));
         }
@@ -199,7 +199,7 @@ fn ask(
     let (mut asked, mut answered) = (0, 0);
     let rays = engine.knobs.rays;
     let first = mixed(surfels.start) as usize;
-    let reflected = &engine.octree.surfels().reflected;
+    let surfels_of_tree = engine.octree.surfels();
     for turn in 0..TRIES * rays {
         // Members and surfels alike are spread over the whole.
         let member = (first + turn * group.len() / rays + turn / rays) % group.len();
@@ -211,14 +211,15 @@ fn ask(
         }
         let surfel = pick(surfels, part);
         // A visible dark surface does not speak for a bright one behind it: dim surfels are asked the less often.
-        let chance = (reflected[surfel].element_sum() / mean).min(1.0);
+        let reflected = surfels_of_tree.reflected(surfel);
+        let chance = (reflected.element_sum() / mean).min(1.0);
         if chance < fraction(mixed(seed)) {
             continue;
         }
         if let Some(is_seen) = look(engine, (group, member), surfel) {
             asked += 1;
             answered += usize::from(is_seen);
-            let radiance = reflected[surfel] / chance;
+            let radiance = reflected / chance;
             sent += radiance;
             seen += if is_seen { radiance } else { Vec3::ZERO };
             if asked == rays {
@@ -259,8 +260,8 @@ fn look(
     surfel: usize,
 ) -> Option<bool> {
     let surfels = engine.octree.surfels();
-    let normal = surfels.normal[surfel];
-    let target = surfels.position[surfel] + normal * (LIFT_RADII * surfels.radius[surfel]);
+    let normal = surfels.normal(surfel);
+    let target = surfels.position(surfel) + normal * (LIFT_RADII * surfels.radius(surfel));
     let offset = target - group.origins[member];
     if group.normals[member].dot(offset) <= 0.0 || normal.dot(offset) >= 0.0 {
         return None;
@@ -313,7 +314,7 @@ fn own_light(
         if let Some(is_seen) = look(engine, (group, member), surfel) {
             count += 1.0;
             if is_seen {
-                light += engine.octree.surfels().reflected[surfel];
+                light += engine.octree.surfels().reflected(surfel);
             }
         }
     }

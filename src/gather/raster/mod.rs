@@ -142,11 +142,11 @@ impl<'a> RasterEngine<'a> {
         dice: &'a DiceMap,
         settings: RasterSettings,
     ) -> Self {
-        let ids = &octree.surfels().id;
-        assert_eq!(ids.len(), dice.surfel_count(), "surfels of one cloud");
-        let mut place = vec![0; ids.len()];
-        for (leaf_place, &id) in (0..).zip(ids) {
-            place[id as usize] = leaf_place;
+        let surfels = octree.surfels();
+        assert_eq!(surfels.len(), dice.surfel_count(), "surfels of one cloud");
+        let mut place = vec![0; surfels.len()];
+        for (leaf_place, i) in (0..).zip(0..surfels.len()) {
+            place[surfels.id(i) as usize] = leaf_place;
         }
         Self {
             octree,
@@ -181,11 +181,10 @@ impl<'a> RasterEngine<'a> {
 
 /// Surfels below each node.
 fn surfels_of_nodes(octree: &Octree) -> Vec<Range<u32>> {
-    let nodes = octree.nodes();
-    let mut all = vec![0..0; nodes.len()];
+    let mut all = vec![0..0; octree.node_count()];
     let number = |i: usize| u32::try_from(i).expect("a cloud has less than 2³² surfels");
     // Children stand behind their parents.
-    for (i, node) in nodes.iter().enumerate().rev() {
+    for (i, node) in octree.nodes().enumerate().rev() {
         all[i] = match node.kind() {
             NodeKind::Leaf(surfels) => number(surfels.start)..number(surfels.end),
             NodeKind::Inner(children) => all[children.start].start..all[children.end - 1].end,

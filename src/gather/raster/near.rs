@@ -66,7 +66,7 @@ pub(super) fn irradiance(
             };
             let found = near.binary_search_by_key(&place, |&(place, _)| place);
             if found.is_ok_and(|k| near[k].1 >> i & 1 == 1) {
-                sums[i] += surfels.reflected[place as usize] * group.normals[i].dot(direction);
+                sums[i] += surfels.reflected(place as usize) * group.normals[i].dot(direction);
             }
         }
     }
@@ -90,8 +90,8 @@ fn who_asks(engine: &RasterEngine<'_>, group: &Group, near: &[(u32, u64)]) -> (V
     let mut reach = 0.0_f32;
     for &(place, receivers) in near {
         let (position, radius) = (
-            surfels.position[place as usize],
-            surfels.radius[place as usize],
+            surfels.position(place as usize),
+            surfels.radius(place as usize),
         );
         for i in bits_of(receivers) {
             let offset = position - group.origins[i];
