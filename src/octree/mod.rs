@@ -347,6 +347,115 @@ mod tests {
         );
     }
 
+    /// 0…1, for each `i` another.
+    fn hash(i: usize) -> f32 {
+        let x = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        let x = (x ^ (x >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        (x >> 40) as f32 / (1 << 24) as f32
+    }
+
+    fn hash3(i: usize) -> Vec3 {
+        Vec3::new(hash(3 * i), hash(3 * i + 1), hash(3 * i + 2))
+    }
+
+    /// Area of the plane across `frame.normal` that `covers` (of a ray's place in the plane, about the middle of the unit
+    /// cube) says is covered: by 400² parallel rays.
+    fn covered(covers: impl Fn(glam::Vec2) -> bool) -> f32 {
+        let place = |i: usize| 2.0 * ((i as f32 + 0.5) / 400.0) - 1.0;
+        let rays = (0..160_000).map(|i| glam::Vec2::new(place(i % 400), place(i / 400)));
+        4.0 * rays.filter(|&ray| covers(ray)).count() as f32 / 160_000.0
+    }
+
+    /// What the root of `tree` shows in directions for which `is_asked`, by what `truth` finds in the plane of a frame.
+    fn check_root(tree: &Octree, is_asked: fn(Vec3) -> bool, truth: impl Fn(Frame) -> f32) {
+        let root = tree.node(0);
+        assert!(root.is_scattered);
+        for i in 0..12 {
+            let direction = (hash3(i + 900) - 0.5).normalize();
+            if is_asked(direction) {
+                let seen = tree
+                    .appearance(&root, direction)
+                    .expect("clutter shows")
+                    .projected_area;
+                let truth = truth(Frame::about(direction));
+                assert!(
+                    (seen / truth - 1.0).abs() < 0.1,
+                    "{direction}: {seen} of {truth}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_box_of_random_disks_that_cover_three_tenths_is_one_node_right_to_ten_percent() {
+        let radius = 0.034_f32;
+        let disks: Vec<(Vec3, Vec3)> = (0..200)
+            .map(|i| (hash3(i), (hash3(i + 300) - 0.5).normalize()))
+            .collect();
+        let area = std::f32::consts::PI * radius * radius;
+        let sides = disks.iter().flat_map(|&(p, n)| [(p, n), (p, -n)]);
+        let tree = Octree::new(&cloud(sides.map(|(p, n)| (p, n, area, Vec3::ONE))));
+        check_root(
+            &tree,
+            |_| true,
+            |frame| {
+                let across =
+                    |v: Vec3| glam::Vec2::new(v.dot(frame.tangent), v.dot(frame.bitangent));
+                let flat: Vec<_> = (disks.iter())
+                    .map(|&(p, n)| (across(p - 0.5), across(n), n.dot(frame.normal)))
+                    .collect();
+                let share = covered(|ray| {
+                    flat.iter().any(|&(middle, n, cos)| {
+                        let offset = ray - middle;
+                        let along = n.dot(offset) / cos;
+                        offset.length_squared() + along * along < radius * radius
+                    })
+                });
+                assert!((0.2..0.5).contains(&share), "{share}");
+                share
+            },
+        );
+    }
+
+    #[test]
+    fn a_tuft_of_hair_is_one_node_right_to_ten_percent_from_its_sides() {
+        let (radius, pieces) = (0.006_f32, 20);
+        let hairs: Vec<(Vec3, Vec3)> = (0..40)
+            .map(|i| {
+                let root = hash3(i) * Vec3::new(1.0, 1.0, 0.0);
+                (
+                    root,
+                    (hash3(i + 100) - 0.5) * Vec3::new(0.5, 0.5, 0.0) + Vec3::Z,
+                )
+            })
+            .collect();
+        let surfels = hairs.iter().enumerate().flat_map(|(i, &(root, along))| {
+            let frame = Frame::about(along.normalize());
+            let area = along.length() / pieces as f32 * std::f32::consts::FRAC_PI_2 * radius;
+            (0..4 * pieces).map(move |k| {
+                let at = root + along * (((k / 4) as f32 + 0.5) / pieces as f32);
+                let turn =
+                    std::f32::consts::FRAC_PI_2 * ((k % 4) as f32 + hash(i * pieces + k / 4));
+                let out = frame.tangent * turn.cos() + frame.bitangent * turn.sin();
+                (at + out * radius, out, area, Vec3::ONE)
+            })
+        });
+        let tree = Octree::new(&cloud(surfels));
+        let from_the_side = |direction: Vec3| direction.z.abs() < 0.7;
+        check_root(&tree, from_the_side, |frame| {
+            let across = |v: Vec3| glam::Vec2::new(v.dot(frame.tangent), v.dot(frame.bitangent));
+            let flat: Vec<_> = (hairs.iter())
+                .map(|&(p, v)| (across(p - 0.5), across(v)))
+                .collect();
+            covered(|ray| {
+                flat.iter().any(|&(root, along)| {
+                    let part = (ray - root).dot(along) / along.length_squared();
+                    (ray - root - along * part.clamp(0.0, 1.0)).length() < radius
+                })
+            })
+        });
+    }
+
     #[test]
     fn any_number_of_threads_gives_the_same_bits() {
         let hash = |i: u64| (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f32 / (1 << 24) as f32;
