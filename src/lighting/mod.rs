@@ -208,10 +208,17 @@ impl Lighting {
     }
 
     /// [`Self::environment`], and the direction it comes from, at each of `points`; faster where neighbors follow each
-    /// other, since they look along each direction together.
-    pub fn environment_of(&self, tracer: &Tracer, points: &[ShadePoint]) -> Vec<SkyLight> {
+    /// other, since they look along each direction together. Nothing beyond `reach` hides the environment.
+    pub fn environment_of(
+        &self,
+        tracer: &Tracer,
+        points: &[ShadePoint],
+        reach: f32,
+    ) -> Vec<SkyLight> {
         let set = &self.fine.sky;
-        in_blocks(tracer, points, |stands| self.environment.block(set, stands))
+        in_blocks(tracer, (points, reach), |stands| {
+            self.environment.block(set, stands)
+        })
     }
 
     /// The sky divided anew, for engines that look along directions of their own: [`EnvironmentSet::even`] then has one
@@ -314,12 +321,12 @@ impl Lighting {
 /// `work` on as many receivers at a time as can look together.
 fn in_blocks(
     tracer: &Tracer,
-    points: &[ShadePoint],
+    (points, reach): (&[ShadePoint], f32),
     work: impl Fn(&[Stand<'_>]) -> Vec<SkyLight>,
 ) -> Vec<SkyLight> {
     let block = |points: &[ShadePoint]| {
         let stands: Vec<_> = (points.iter())
-            .map(|point| Stand::new(tracer, point))
+            .map(|point| Stand::new(tracer, point).reaching(reach))
             .collect();
         work(&stands)
     };
@@ -348,7 +355,7 @@ impl SurfelLighting<'_> {
         let detail = &self.0.coarse;
         let mut light = if self.0.has_environment() {
             let environment = &self.0.environment;
-            let sky = in_blocks(tracer, points, |stands| {
+            let sky = in_blocks(tracer, (points, f32::INFINITY), |stands| {
                 environment.block(&detail.sky, stands)
             });
             sky.into_iter().map(|light| light.irradiance).collect()
