@@ -17,12 +17,6 @@ use crate::trace::{Hit, Tracer};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
-/// Hits nearer than this many radii of their surfel are lit anew. Relative RMSE of one bounce by 4096 rays and 100 000
-/// surfels at the points of scans, under a sky with four small bright areas, by 0, 1.5 and 3 or 4 radii: Nefertiti
-/// (100 000 triangles) 7.8, 1.6, 1.6 %; bunny 1.2, 0.66, 0.61 %; rays take 1.25 and 2.8 times as long with 1.5 (at pixels 1.2 and
-/// 1.0 times), since many points of a scan lie in pits.
-const NEAR_RADII: f32 = 1.5;
-
 /// Lights and shades single hits, once reflected.
 #[derive(Debug, Clone, Copy)]
 pub struct HitLight<'a> {
@@ -31,9 +25,17 @@ pub struct HitLight<'a> {
     lighting: &'a Lighting,
     /// Tells the sides that reflect: those that have surfels.
     dice: &'a DiceMap,
+    /// See [`Self::within`].
+    near_radii: f32,
 }
 
 impl<'a> HitLight<'a> {
+    /// Hits nearer than this many radii of their surfel are lit anew. Relative RMSE of one bounce by 4096 rays and
+    /// 100 000 surfels at the points of scans, under a sky with four small bright areas, by 0, 1.5 and 3 or 4 radii:
+    /// Nefertiti (100 000 triangles) 7.8, 1.6, 1.6 %; bunny 1.2, 0.66, 0.61 %; rays take 1.25 and 2.8 times as long with
+    /// 1.5 (at pixels 1.2 and 1.0 times), since many points of a scan lie in pits.
+    pub const NEAR_RADII: f32 = 1.5;
+
     /// Light of `lighting`, by its samples for receivers, on the sides of surfaces that have surfels in `dice`; `None` where
     /// single places can't be lit by a few rays: emissive surfaces take many.
     pub fn new(
@@ -47,12 +49,19 @@ impl<'a> HitLight<'a> {
             tracer,
             lighting,
             dice,
+            near_radii: Self::NEAR_RADII,
         })
     }
 
+    /// Hits nearer than this many radii of their surfel are too near to read it; usually [`Self::NEAR_RADII`].
+    #[must_use]
+    pub fn within(self, near_radii: f32) -> Self {
+        Self { near_radii, ..self }
+    }
+
     /// True if `hit` is too near to a surfel of this radius to see all of it.
-    pub(super) fn is_near(hit: &Hit, radius: f32) -> bool {
-        hit.distance < NEAR_RADII * radius
+    pub(super) fn is_near(&self, hit: &Hit, radius: f32) -> bool {
+        hit.distance < self.near_radii * radius
     }
 
     /// Radiance from `hit` at `position`; black on a side without surfels.

@@ -80,7 +80,7 @@ impl RadianceSource<'_> {
                     return Outgoing::BLACK;
                 };
                 let of_surfel = Outgoing::of_surfel(cloud, i);
-                let near = near.filter(|_| HitLight::is_near(hit, cloud.radius[i as usize]));
+                let near = near.filter(|hits| hits.is_near(hit, cloud.radius[i as usize]));
                 let reflected =
                     near.map(|hits| hits.reflected(hit, origin + direction * hit.distance));
                 Outgoing {

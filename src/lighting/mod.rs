@@ -266,6 +266,11 @@ impl Lighting {
         self.lights.is_empty() && !self.has_environment() && !self.has_emitters()
     }
 
+    /// Lights that shadow rays go to one by one: all but domes and emissive surfaces.
+    pub fn light_count(&self) -> usize {
+        self.lights.len()
+    }
+
     /// True if there are dome lights that are not black.
     pub fn has_environment(&self) -> bool {
         self.environment.is_lit()
