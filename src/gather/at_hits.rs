@@ -10,7 +10,7 @@
 
 use super::radiance::Outgoing;
 use crate::lighting::{Lighting, ShadePoint};
-use crate::scene::{PlacedMesh, on_the_side_of};
+use crate::scene::PlacedMesh;
 use crate::shading::{Shader, Surface, SurfacePoint};
 use crate::surfels::DiceMap;
 use crate::trace::{Hit, Tracer};
@@ -64,15 +64,15 @@ impl<'a> HitLight<'a> {
         hit.distance < self.near_radii * radius
     }
 
-    /// Radiance from `hit` at `position`; black on a side without surfels.
-    pub(super) fn radiance(&self, hit: &Hit, position: Vec3) -> Outgoing {
+    /// Radiance from `hit`; black on a side without surfels.
+    pub(super) fn radiance(&self, hit: &Hit) -> Outgoing {
         let side = (self.dice).surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
         if side.is_none() {
             return Outgoing::BLACK;
         }
-        let (place, surface) = self.surface(hit);
+        let surface = self.surface(hit);
         Outgoing {
-            reflected: self.reflected_by(surface.albedo, (hit, &place), position),
+            reflected: self.reflected_by(surface.albedo, hit),
             emitted: if hit.front {
                 surface.emission
             } else {
@@ -82,43 +82,29 @@ impl<'a> HitLight<'a> {
     }
 
     /// Its reflected part, on a side that has surfels.
-    pub(super) fn reflected(&self, hit: &Hit, position: Vec3) -> Vec3 {
-        let (place, surface) = self.surface(hit);
-        self.reflected_by(surface.albedo, (hit, &place), position)
+    pub(super) fn reflected(&self, hit: &Hit) -> Vec3 {
+        self.reflected_by(self.surface(hit).albedo, hit)
     }
 
-    fn surface(&self, hit: &Hit) -> (SurfacePoint, Surface) {
-        let place = SurfacePoint {
+    fn surface(&self, hit: &Hit) -> Surface {
+        self.shader.surface(&SurfacePoint {
             prim: hit.prim,
             triangle: hit.triangle,
             u: hit.u,
             v: hit.v,
             footprint: 0.0,
-        };
-        (place, self.shader.surface(&place))
+        })
     }
 
-    fn reflected_by(
-        &self,
-        albedo: Vec3,
-        (hit, place): (&Hit, &SurfacePoint),
-        position: Vec3,
-    ) -> Vec3 {
+    fn reflected_by(&self, albedo: Vec3, hit: &Hit) -> Vec3 {
         if albedo == Vec3::ZERO {
             return Vec3::ZERO;
         }
-        let point = self.point(hit, place, position);
-        albedo * self.lighting.glimpse(self.tracer, &point, number(hit)) * FRAC_1_PI
-    }
-
-    fn point(&self, hit: &Hit, place: &SurfacePoint, position: Vec3) -> ShadePoint {
-        let scene = self.shader.scene();
-        let world = PlacedMesh::of(scene, hit.prim);
+        let world = PlacedMesh::of(self.shader.scene(), hit.prim);
         let plane = world.plane_normal(hit.triangle).normalize_or(Vec3::Y);
-        let shading = world.shading_normal(hit.triangle, hit.u, hit.v);
-        let shading = on_the_side_of(plane, shading);
-        let sign = if hit.front { 1.0 } else { -1.0 };
-        ShadePoint::on_mesh(scene, place, position, (shading * sign, plane * sign))
+        let weights = Vec3::new(1.0 - hit.u - hit.v, hit.u, hit.v);
+        let point = ShadePoint::on_side(&world, (hit.triangle, weights), plane, !hit.front);
+        albedo * self.lighting.glimpse(self.tracer, &point, number(hit)) * FRAC_1_PI
     }
 }
 

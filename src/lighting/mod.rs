@@ -17,7 +17,7 @@ mod stand;
 pub use environment::{EnvironmentCell, EnvironmentSet, SkyLight};
 
 use crate::diagnostics::Diagnostics;
-use crate::scene::Scene;
+use crate::scene::{PlacedMesh, Scene, on_the_side_of};
 use crate::shading::{Shader, SurfacePoint};
 use crate::trace::Tracer;
 use emitters::{EmitterPatterns, Emitters};
@@ -41,6 +41,32 @@ pub struct ShadePoint {
 }
 
 impl ShadePoint {
+    /// The point with barycentric `weights` of triangle `t` of `world`, whose front side has the unit normal `plane`; on
+    /// its back if `back`. The cosine to lights is taken with the shading normal, as a renderer does; shadows and the
+    /// side that is lit go by the plane.
+    pub fn on_side(
+        world: &PlacedMesh<'_>,
+        (t, weights): (u32, Vec3),
+        plane: Vec3,
+        back: bool,
+    ) -> Self {
+        let corners = world.corners(t);
+        let [a, b, c] = corners;
+        let sign = if back { -1.0 } else { 1.0 };
+        let shading = on_the_side_of(plane, world.shading_normal(t, weights.y, weights.z));
+        let normal = shading * sign;
+        let smooth_offset = (shading != plane)
+            .then(|| world.corner_normals(t))
+            .flatten()
+            .map(|normals| smooth_offset(&corners, &normals, weights, normal));
+        Self {
+            position: a * weights.x + b * weights.y + c * weights.z,
+            normal,
+            geometric_normal: plane * sign,
+            smooth_offset,
+        }
+    }
+
     /// The point `surface` with the unit normals (shading, plane) of the side that is lit.
     pub fn on_mesh(
         scene: &Scene,

@@ -241,8 +241,9 @@ impl<'a> Witness<'a> {
     /// True if a squared error with this standard error is known well enough.
     fn is_sure(&self, (square, error): (f64, f64)) -> bool {
         let allowed = self.ladder.allowed.powi(2);
-        let tells = error < allowed && (square - allowed).abs() > SURE * error;
-        tells || error < SMALL * allowed
+        let is_more = square - SURE * error > allowed;
+        let is_less = square + SURE * error < allowed && error < allowed;
+        is_more || is_less || error < SMALL * allowed
     }
 
     /// Mean square of the relative error of each of the run's AOVs and its standard error, from the sums of the
