@@ -11,6 +11,7 @@ use crate::gather::ray_query::RayQuery;
 use crate::math::bits::bits_of;
 use crate::math::sequence;
 use crate::receivers::Receivers;
+use crate::trace::Hit;
 use glam::{Mat3, Vec3};
 use std::f32::consts::{PI, TAU};
 use std::ops::Range;
@@ -46,6 +47,8 @@ pub(super) struct Looks<'a> {
 struct Packet {
     stands: Vec<Stand>,
     origins: Vec<Vec3>,
+    /// How far they lie above the receivers.
+    lifts: Vec<f32>,
     normals: Vec<Vec3>,
     /// Bits of receivers that mirror directions at their plane.
     mirroring: u64,
@@ -97,6 +100,7 @@ impl Looks<'_> {
             let mut found = [None; PACKET];
             let asked = (self.max_distance, straight);
             (self.query).closest_along(direction, &packet.origins, asked, &mut found);
+            self.leave_planes(packet, direction, &mut found);
             for i in bits_of(facing) {
                 let (origin, own) = (packet.origins[i], packet.stands[i].above_horizon(direction));
                 if mirrored >> i & 1 == 1 {
@@ -116,6 +120,24 @@ impl Looks<'_> {
             }
         }
         Along { facing, covered }
+    }
+
+    /// Looks again where a receiver lies in the plane of another surface, as on the edge of a room whose walls are prims
+    /// of their own: whether it is on this side of it or that is a matter of rounding.
+    fn leave_planes(&self, packet: &Packet, direction: Vec3, found: &mut [Option<Hit>; PACKET]) {
+        for (i, hit) in found.iter_mut().enumerate() {
+            if hit.is_none_or(|hit| hit.distance >= packet.lifts[i]) {
+                continue;
+            }
+            let (from, lift) = (packet.origins[i], packet.lifts[i]);
+            let beyond =
+                self.query
+                    .closest(from + direction * lift, direction, self.max_distance - lift);
+            *hit = beyond.map(|hit| Hit {
+                distance: hit.distance + lift,
+                ..hit
+            });
+        }
     }
 
     fn fill(
@@ -167,13 +189,17 @@ fn fill_light(hits: &[(f32, Outgoing)], seen: &mut Hemisphere) {
 impl Packet {
     fn new(query: &dyn RayQuery, receivers: &Receivers, range: Range<usize>) -> Self {
         let stands: Vec<_> = range.clone().map(|i| Stand::of(receivers, i)).collect();
-        let origins = (range.clone().zip(&stands))
+        let origins: Vec<Vec3> = (range.clone().zip(&stands))
             .map(|(i, stand)| query.lift(receivers.position[i], stand.lift))
             .collect();
+        let positions = &receivers.position[range.clone()];
+        let lift = |(origin, position): (&Vec3, &Vec3)| origin.distance(*position);
+        let lifts = origins.iter().zip(positions).map(lift).collect();
         let mirroring = mask_of(&stands, |stand| stand.mirror.is_some());
         Self {
             stands,
             origins,
+            lifts,
             normals: receivers.normal[range].to_vec(),
             mirroring,
         }
