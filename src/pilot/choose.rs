@@ -1,6 +1,7 @@
 //! The choice itself.
 
 mod by_maps;
+mod groups;
 
 use super::check::Check;
 use super::clock::Clock;
@@ -89,6 +90,8 @@ struct Bench<'b, 'a, 'c> {
     image: Option<Image>,
     aovs: Vec<Measured>,
     trials: Vec<Trial>,
+    /// Neighbors of the pilot's receivers, once a candidate needs them.
+    groups: Option<groups::Groups>,
 }
 
 /// An AOV that depends on the engine.
@@ -177,6 +180,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             image,
             aovs: Vec::new(),
             trials: Vec::new(),
+            groups: None,
         };
         for i in 0..pilot.aovs.len() {
             bench.measure(i);
@@ -384,10 +388,12 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         let start = Clock::start();
         let method = (candidate.make)();
         let preparation = start.seconds();
-        let glance = self
-            .few
-            .subset(&spread(self.few.len(), GLANCE.min(self.few.len())));
-        let glance = self.look(method.as_ref(), &glance)?;
+        let glance = if candidate.sees_groups {
+            self.look(method.as_ref(), &self.crowd)?
+        } else {
+            let some = spread(self.few.len(), GLANCE.min(self.few.len()));
+            self.look(method.as_ref(), &self.few.subset(&some))?
+        };
         let mut trial = Trial {
             engine: candidate.engine,
             knobs: candidate.knobs.clone(),
@@ -398,19 +404,18 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             self.trials.push(trial);
             return Ok(None);
         }
-        let look = self.look(method.as_ref(), &self.few)?;
-        let errors = self.without_reference(&look.results, judge);
+        let (seconds_per_receiver, errors) = self.tried((candidate, method.as_ref()), judge)?;
         let ratio = self.ratio(&errors);
-        trial.seconds_per_receiver = look.seconds_per_receiver;
+        trial.seconds_per_receiver = seconds_per_receiver;
         trial.error_over_tolerance = Some(ratio);
         self.trials.push(trial);
-        let seconds = preparation + self.run_seconds(look.seconds_per_receiver);
+        let seconds = preparation + self.run_seconds(seconds_per_receiver);
         Ok((ratio <= AIM && seconds < best).then_some((seconds, errors)))
     }
 
-    /// Errors of `run` against the reference, whose own (known from that of the chosen rays) is subtracted.
-    fn without_reference(&self, run: &Results, judge: &Judge) -> Vec<f64> {
-        self.errors(run, &judge.reference, 0.0)
+    /// Errors of `run` against the `reference` of a judge, whose own (known from that of the chosen rays) is subtracted.
+    fn without_reference(&self, run: &Results, reference: &Results, judge: &Judge) -> Vec<f64> {
+        self.errors(run, reference, 0.0)
             .iter()
             .zip(&judge.errors)
             .map(|(both, rays)| (both * both - judge.share * rays * rays).max(0.0).sqrt())
