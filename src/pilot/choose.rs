@@ -37,6 +37,9 @@ const REFERENCE: f64 = 4.0;
 /// Share of the tolerance aimed at: the error of a few receivers is that of all within about a tenth.
 pub(super) const AIM: f64 = 0.9;
 
+/// The same where members of a group err alike, and only few groups are looked at.
+const AIM_OF_GROUPS: f64 = 0.75;
+
 /// The pilot looks at one in so many receivers: the reference and the check cost about five times the run's rays there,
 /// so 8 % of the run.
 const ONE_IN: usize = 64;
@@ -250,7 +253,8 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             }
             // The next settings of this engine are dearer still.
             let last = self.trials.last();
-            let is_dear = |trial: &&Trial| trial.error_over_tolerance.is_none();
+            let is_enough = matches!(best.pick, Pick::Candidate(chosen) if chosen == i);
+            let is_dear = |trial: &&Trial| trial.error_over_tolerance.is_none() || is_enough;
             too_dear = last.filter(is_dear).map(|trial| trial.engine);
         }
         if let Some(better) = self.try_maps(Some((&ladder, &judge)), best.seconds)? {
@@ -410,7 +414,12 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         trial.error_over_tolerance = Some(ratio);
         self.trials.push(trial);
         let seconds = preparation + self.run_seconds(seconds_per_receiver);
-        Ok((ratio <= AIM && seconds < best).then_some((seconds, errors)))
+        let aim = if candidate.sees_groups {
+            AIM_OF_GROUPS
+        } else {
+            AIM
+        };
+        Ok((ratio <= aim && seconds < best).then_some((seconds, errors)))
     }
 
     /// Errors of `run` against the `reference` of a judge, whose own (known from that of the chosen rays) is subtracted.

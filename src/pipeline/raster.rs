@@ -1,6 +1,6 @@
 //! The raster engine in a run: reflected light by it, and by rays what asks which directions are open.
 
-use super::gather::{Light, Stand, hit_light};
+use super::gather::{Light, Stand};
 use super::report::Report;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::{self, GatherScene, RasterEngine, RasterSettings, RaysEngine};
@@ -11,7 +11,7 @@ use crate::results::{Aov, AovBuffer, Results};
 
 /// Settings that a pilot tries and a sweep shows, cheap ones first: solid angle and resolution.
 pub(super) const RASTER_KNOBS: [(f32, u32); 5] =
-    [(0.4, 6), (0.2, 12), (0.1, 12), (0.1, 24), (0.03, 48)];
+    [(0.4, 6), (0.4, 12), (0.2, 12), (0.1, 12), (0.1, 24)];
 
 /// Rays that judge where no pilot has.
 pub(super) const REFERENCE_RAYS: u32 = 1024;
@@ -50,15 +50,11 @@ impl<'a> RasterMethod<'a> {
             raster_resolution,
             max_distance: stand.job.max_distance,
         };
-        let world = stand.world();
         let engine = match stand.light() {
             Light::Baked(baked) => {
-                let near = (stand.job.bounces <= 1)
-                    .then(|| hit_light(world, &world.lighting, &baked.dice))
-                    .flatten();
-                let (octree, dice) = (stand.octree(), &baked.dice);
-                let engine = RasterEngine::new(octree, &world.tracer, dice, settings);
-                Some(engine.with_near_light(near))
+                let (octree, tracer) = (stand.octree(), &stand.world().tracer);
+                let engine = RasterEngine::new(octree, tracer, &baked.dice, settings);
+                Some(engine.with_near_light(stand.near_light()))
             }
             Light::None | Light::Loaded(_) => None,
         };

@@ -93,6 +93,9 @@ struct Knobs {
 /// ray 150. At 0.2 sr and 4 rays, 16 more, a ratio of 2 errs by 2.5 %, of 4 by 2.0 %, of 10 by 1.9 %.
 const AREA_RATIO: f32 = 5.0;
 
+/// Largest solid angle of what light is computed of, sr: with 0.08, one bounce in a box is 0.6 % too dark.
+const MAX_AREA: f32 = 0.04;
+
 /// Surfels count as points: the finer clusters are, the farther are those that do.
 const NEAR_ANGLE: f32 = 0.03;
 
@@ -119,7 +122,7 @@ impl Knobs {
         };
         Self {
             max_solid_angle,
-            max_area: max_solid_angle / AREA_RATIO,
+            max_area: (max_solid_angle / AREA_RATIO).min(MAX_AREA),
             max_asked: (ASKED_RATIO * max_solid_angle).min(MAX_ASKED),
             rays: (resolution / 3).clamp(2, 64) as usize,
             more_rays: 0.25 * (resolution * resolution) as f32,

@@ -6,7 +6,6 @@
 
 use super::RasterEngine;
 use super::group::{self, Group};
-use crate::gather::HitLight;
 use crate::math::bits::bits_of;
 use crate::math::sequence;
 use glam::{Mat3, Vec3};
@@ -73,9 +72,8 @@ pub(super) fn irradiance(
             let found = near.binary_search_by_key(&place, |&(place, _)| place);
             if found.is_ok_and(|k| near[k].1 >> i & 1 == 1) {
                 let radius = surfels.radius[place as usize];
-                let anew = (engine.near_light).filter(|_| HitLight::is_near(&hit, radius));
-                let position = group.origins[i] + direction * hit.distance;
-                let light = anew.map(|light| light.reflected(&hit, position));
+                let anew = (engine.near_light).filter(|light| light.is_near(&hit, radius));
+                let light = anew.map(|light| light.reflected(&hit));
                 let light = light.unwrap_or(surfels.reflected[place as usize]);
                 sums[i] += light * group.normals[i].dot(direction);
             }
