@@ -141,7 +141,7 @@ fn a_cloud_can_be_baked_and_gathered_from() {
 fn the_same_bits_for_any_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
     let mut results = Vec::new();
-    for engine in ["rays", "paper"] {
+    for engine in ["rays", "paper", "raster"] {
         for threads in ["1", "2", "8"] {
             let exr = folder.path().join("room.exr");
             let result = run(&[
@@ -398,6 +398,37 @@ fn maps_and_rays_share_a_run_and_tell_who_did_what() {
             .as_f64()
             .is_some_and(|e| e < 0.5)
     );
+}
+
+#[test]
+fn points_tell_reflected_light_and_rays_what_is_open() {
+    let folder = tempfile::tempdir().unwrap();
+    let layer = folder.path().join("room.usdc");
+    let output = layer.to_str().unwrap();
+    let asked = "occlusion,irradiance_direct,irradiance_indirect";
+    let flags =
+        "--usd native --gather raster --max-solid-angle 0.1 --rays 64 --surfels 20000 --json";
+    let mut args = vec!["bake", ROOM, "-o", output, "--aov", asked];
+    args.extend(flags.split(' '));
+    let report = json(&run(&args));
+    let settings = &report["settings"];
+    assert_eq!(settings["gather"], "raster");
+    assert_eq!(settings["engines"]["occlusion"], "rays");
+    assert_eq!(settings["engines"]["irradiance_indirect"], "raster");
+    // Judged by 1024 rays; the points of this small stage are far apart and many lie in corners.
+    let error = &report["error"]["aovs"]["irradiance_indirect"];
+    assert!(error.as_f64().is_some_and(|e| e < 0.1), "{report}");
+    assert!(report["counts"]["nodes"].as_u64() > Some(0));
+}
+
+#[test]
+fn points_of_another_cloud_are_not_rastered() {
+    let flags = "--aov irradiance_indirect --gather raster --cloud cloud.usdc";
+    let mut args = vec!["bake", ROOM, "-o", "x.usdc"];
+    args.extend(flags.split(' '));
+    let result = run(&args);
+    assert_eq!(result.status.code(), Some(2));
+    assert!(stderr(&result).contains("--cloud"), "{}", stderr(&result));
 }
 
 #[test]

@@ -283,6 +283,7 @@ fn candidate<M: Method + Clone + 'static>(method: M, preparation: f64) -> Candid
         engine: "made",
         knobs: Vec::new(),
         preparation,
+        sees_groups: false,
         make: Box::new(move || Box::new(method.clone())),
     }
 }

@@ -131,7 +131,7 @@ fn fields(report: &Value) {
         names
     };
     assert_eq!(names("set"), ["pixels", "points", "surfels"]);
-    assert_eq!(names("engine"), ["maps", "paper", "rays"]);
+    assert_eq!(names("engine"), ["maps", "paper", "raster", "rays"]);
     assert_eq!(
         names("aov"),
         [

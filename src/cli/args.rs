@@ -131,10 +131,11 @@ pub(super) struct GatherArgs {
     /// Width of the cells that meshes are thinned to before they are drawn, in mean edges; below 1: as they are.
     #[arg(long, value_name = "EDGES", default_value_t = 0.0, value_parser = not_negative)]
     pub(super) map_cell: f32,
-    /// Largest solid angle of a cluster, sr (engine paper).
+    /// Largest solid angle of a cluster, sr (engines raster and paper without --tolerance).
     #[arg(long, alias = "maxsolidangle", value_name = "SR", default_value_t = 0.03, value_parser = positive)]
     pub(super) max_solid_angle: f32,
-    /// Pixels along a side of the raster cube (engine paper).
+    /// Engine paper: pixels along a side of the raster cube. Engine raster: three times the rays that ask whether a group
+    /// of neighbors sees a cluster; its square over 4 where it sees part of it (without --tolerance).
     #[arg(long, alias = "rasterresolution", value_name = "N", default_value_t = 12,
         value_parser = clap::value_parser!(u32).range(2..=256))]
     pub(super) raster_resolution: u32,
@@ -262,6 +263,9 @@ pub(super) enum EngineName {
     /// Occlusion, visibility, bent normals and light of the sky by depth maps that all receivers share, the rest by
     /// rays: for dense meshes and whole pictures.
     Maps,
+    /// Reflected light from clusters of surfels that neighbors share, rays between the two for what is hidden; what asks
+    /// which directions are open by rays.
+    Raster,
     /// The published method: surfels and clusters rasterized onto a cube.
     Paper,
 }

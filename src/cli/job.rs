@@ -131,8 +131,20 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
         }
     }
     let has_error = aovs.iter().find(|aov| aov.error_of().is_some());
-    if let (Some(aov), EngineName::Paper) = (has_error, args.gather) {
-        bail!("--aov {aov}: engine paper does not know its error at a receiver (use rays or maps)");
+    let engine = match args.gather {
+        EngineName::Paper => Some("paper"),
+        EngineName::Raster => Some("raster"),
+        EngineName::Auto | EngineName::Rays | EngineName::Maps => None,
+    };
+    if let (Some(aov), Some(engine)) = (has_error, engine) {
+        bail!(
+            "--aov {aov}: engine {engine} does not know its error at a receiver (use rays or maps)"
+        );
+    }
+    if args.gather == EngineName::Raster && !args.cloud.is_empty() {
+        bail!(
+            "--gather raster: it gathers from the stage's own surfels, which --cloud replaces (use rays or paper)"
+        );
     }
     if args.bounces == 0 && aovs.contains(&Aov::IrradianceIndirect) {
         bail!("--bounces 0 leaves nothing for irradiance_indirect (right: 1 or more)");
@@ -144,6 +156,7 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
             EngineName::Auto => EngineChoice::Auto,
             EngineName::Rays => EngineChoice::Rays,
             EngineName::Maps => EngineChoice::Maps,
+            EngineName::Raster => EngineChoice::Raster,
             EngineName::Paper => EngineChoice::Paper,
         },
         tolerance: args.tolerance,

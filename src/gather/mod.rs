@@ -11,7 +11,7 @@ pub mod radiance;
 mod ray_query;
 pub mod rays;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 
 pub use at_hits::HitLight;
 pub use estimate::{ErrorEstimate, Reference, estimate};
@@ -94,7 +94,7 @@ pub trait Engine: Sync + Debug {
     }
 
     /// True if a block is seen the faster the nearer to each other its receivers are: [`gather`] then hands neighbors
-    /// over together, in receivers of their own. What one sees must not depend on the others.
+    /// over together, in receivers of their own. What one sees must not depend on the others beyond the engine's error.
     fn gains_from_neighbors(&self) -> bool {
         false
     }
@@ -160,6 +160,12 @@ pub fn gather(
         }
     }
     Ok(results)
+}
+
+/// Indices of `receivers` in the order in which [`gather`] hands them over where an engine gains from neighbors: those next
+/// to each other in space follow each other.
+pub fn neighbors(receivers: &Receivers) -> Vec<usize> {
+    neighbors::order(&receivers.position, &receivers.normal)
 }
 
 /// Zeros for `count` receivers.

@@ -9,7 +9,7 @@ use crate::trace::Hit;
 use glam::{DVec3, Vec3};
 
 /// Receivers at (position, normal), in the middle of flat triangles.
-pub(super) fn receivers_at(points: &[(Vec3, Vec3)]) -> Receivers {
+pub(crate) fn receivers_at(points: &[(Vec3, Vec3)]) -> Receivers {
     let surface = SurfacePoint {
         prim: PrimId(0),
         triangle: 0,

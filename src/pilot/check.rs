@@ -52,7 +52,7 @@ impl Check {
 }
 
 /// The values of the receivers `picks`.
-fn subset(results: &Results, picks: &[usize]) -> Results {
+pub(super) fn subset(results: &Results, picks: &[usize]) -> Results {
     let few = |buffer: &AovBuffer| {
         let n = buffer.aov.components();
         let values = picks.iter().flat_map(|&i| &buffer.data[i * n..][..n]);

@@ -1,6 +1,7 @@
 //! The choice itself.
 
 mod by_maps;
+mod groups;
 
 use super::check::Check;
 use super::clock::Clock;
@@ -35,6 +36,9 @@ const REFERENCE: f64 = 4.0;
 
 /// Share of the tolerance aimed at: the error of a few receivers is that of all within about a tenth.
 pub(super) const AIM: f64 = 0.9;
+
+/// The same where members of a group err alike, and only few groups are looked at.
+const AIM_OF_GROUPS: f64 = 0.75;
 
 /// The pilot looks at one in so many receivers: the reference and the check cost about five times the run's rays there,
 /// so 8 % of the run.
@@ -89,6 +93,8 @@ struct Bench<'b, 'a, 'c> {
     image: Option<Image>,
     aovs: Vec<Measured>,
     trials: Vec<Trial>,
+    /// Neighbors of the pilot's receivers, once a candidate needs them.
+    groups: Option<groups::Groups>,
 }
 
 /// An AOV that depends on the engine.
@@ -177,6 +183,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             image,
             aovs: Vec::new(),
             trials: Vec::new(),
+            groups: None,
         };
         for i in 0..pilot.aovs.len() {
             bench.measure(i);
@@ -246,7 +253,8 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             }
             // The next settings of this engine are dearer still.
             let last = self.trials.last();
-            let is_dear = |trial: &&Trial| trial.error_over_tolerance.is_none();
+            let is_enough = matches!(best.pick, Pick::Candidate(chosen) if chosen == i);
+            let is_dear = |trial: &&Trial| trial.error_over_tolerance.is_none() || is_enough;
             too_dear = last.filter(is_dear).map(|trial| trial.engine);
         }
         if let Some(better) = self.try_maps(Some((&ladder, &judge)), best.seconds)? {
@@ -384,10 +392,12 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         let start = Clock::start();
         let method = (candidate.make)();
         let preparation = start.seconds();
-        let glance = self
-            .few
-            .subset(&spread(self.few.len(), GLANCE.min(self.few.len())));
-        let glance = self.look(method.as_ref(), &glance)?;
+        let glance = if candidate.sees_groups {
+            self.look(method.as_ref(), &self.crowd)?
+        } else {
+            let some = spread(self.few.len(), GLANCE.min(self.few.len()));
+            self.look(method.as_ref(), &self.few.subset(&some))?
+        };
         let mut trial = Trial {
             engine: candidate.engine,
             knobs: candidate.knobs.clone(),
@@ -398,19 +408,23 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             self.trials.push(trial);
             return Ok(None);
         }
-        let look = self.look(method.as_ref(), &self.few)?;
-        let errors = self.without_reference(&look.results, judge);
+        let (seconds_per_receiver, errors) = self.tried((candidate, method.as_ref()), judge)?;
         let ratio = self.ratio(&errors);
-        trial.seconds_per_receiver = look.seconds_per_receiver;
+        trial.seconds_per_receiver = seconds_per_receiver;
         trial.error_over_tolerance = Some(ratio);
         self.trials.push(trial);
-        let seconds = preparation + self.run_seconds(look.seconds_per_receiver);
-        Ok((ratio <= AIM && seconds < best).then_some((seconds, errors)))
+        let seconds = preparation + self.run_seconds(seconds_per_receiver);
+        let aim = if candidate.sees_groups {
+            AIM_OF_GROUPS
+        } else {
+            AIM
+        };
+        Ok((ratio <= aim && seconds < best).then_some((seconds, errors)))
     }
 
-    /// Errors of `run` against the reference, whose own (known from that of the chosen rays) is subtracted.
-    fn without_reference(&self, run: &Results, judge: &Judge) -> Vec<f64> {
-        self.errors(run, &judge.reference, 0.0)
+    /// Errors of `run` against the `reference` of a judge, whose own (known from that of the chosen rays) is subtracted.
+    fn without_reference(&self, run: &Results, reference: &Results, judge: &Judge) -> Vec<f64> {
+        self.errors(run, reference, 0.0)
             .iter()
             .zip(&judge.errors)
             .map(|(both, rays)| (both * both - judge.share * rays * rays).max(0.0).sqrt())

@@ -85,6 +85,8 @@ pub struct Candidate<'a> {
     pub knobs: Knobs,
     /// Processor seconds that [`Self::make`] will probably take.
     pub preparation: f64,
+    /// True if neighbors share most of its work: it is looked at with whole groups of them.
+    pub sees_groups: bool,
     /// Makes it, with what it stands on.
     pub make: Box<dyn Fn() -> Box<dyn Method + 'a> + 'a>,
 }

@@ -1,9 +1,10 @@
 //! Engine, settings and light samples of a run: as asked for, or as a pilot finds them for a tolerance.
 
 use super::Error;
-use super::gather::Stand;
+use super::gather::{Light, Stand};
 use super::job::{EngineChoice, GatherJob};
 use super::maps::{MapsKnobs, MapsMethod, Promise};
+use super::raster::{self, RASTER_KNOBS};
 use super::report::{Report, timed};
 use super::world::World;
 use crate::diagnostics::Diagnostics;
@@ -27,6 +28,8 @@ pub(super) enum Chosen {
     /// So many a receiver.
     Rays(u32),
     /// Largest solid angle and raster resolution.
+    Raster((f32, u32)),
+    /// Largest solid angle and raster resolution.
     Paper((f32, u32)),
     /// Maps, and rays for what they do not see.
     Maps(MapsKnobs),
@@ -37,6 +40,9 @@ impl Choice {
         Self {
             engine: match job.engine {
                 EngineChoice::Auto | EngineChoice::Rays => Chosen::Rays(job.rays),
+                EngineChoice::Raster => {
+                    Chosen::Raster((job.max_solid_angle, job.raster_resolution))
+                }
                 EngineChoice::Paper => Chosen::Paper((job.max_solid_angle, job.raster_resolution)),
                 EngineChoice::Maps => Chosen::Maps(MapsKnobs {
                     settings: MapsSettings {
@@ -52,12 +58,12 @@ impl Choice {
         }
     }
 
-    /// What the pilot found.
-    pub(super) fn of(outcome: &Outcome) -> Self {
+    /// What the pilot found for `stand`.
+    pub(super) fn of(outcome: &Outcome, stand: &Stand<'_>) -> Self {
         let rays = outcome.rays.unwrap_or(FEWEST_RAYS);
         let engine = match outcome.pick {
             Pick::Rays => Chosen::Rays(rays),
-            Pick::Candidate(i) => Chosen::Paper(PAPER_KNOBS[i]),
+            Pick::Candidate(i) => rivals(stand)[i],
             Pick::Maps {
                 settings,
                 handed_over,
@@ -128,6 +134,27 @@ impl Found {
         (job.engine == EngineChoice::Auto).then_some(Promise { check, tolerance })
     }
 
+    /// Rays that do again what the raster engine did, at this frame and those to come, where the pilot promised too much: it
+    /// looks at few groups of receivers.
+    pub(super) fn rays_instead(
+        &self,
+        aovs: &[Aov],
+        job: &GatherJob,
+        report: &mut Report,
+    ) -> Option<u32> {
+        let is_broken = report.error.estimate? > job.tolerance?;
+        let rays = self.outcome.as_ref()?.rays.filter(|_| is_broken)?;
+        let engine = Chosen::Rays(rays);
+        let choice = Choice {
+            engine,
+            ..self.choice
+        };
+        report.choices.insert(aovs.to_vec(), choice);
+        report.set("rays", rays);
+        report.set("engines", serde_json::Value::Null);
+        Some(rays)
+    }
+
     /// Replace what the pilot foretold by what came of it at the pilot's receivers.
     pub(super) fn look_back(&self, results: &Results, report: &mut Report) {
         let check = self.outcome.as_ref().and_then(|found| found.check.as_ref());
@@ -150,7 +177,8 @@ pub(super) fn choose(
         choice,
         outcome: None,
     };
-    let Some(tolerance) = job.tolerance.filter(|_| job.engine != EngineChoice::Paper) else {
+    let by_name = matches!(job.engine, EngineChoice::Raster | EngineChoice::Paper);
+    let Some(tolerance) = job.tolerance.filter(|_| !by_name) else {
         return Ok(known(Choice::as_asked(job)));
     };
     if let Some(choice) = report.choices.get(stand.aovs) {
@@ -160,10 +188,11 @@ pub(super) fn choose(
     let outcome = timed(&mut seconds, || look(stand, tolerance, diagnostics))?;
     report.seconds.gather += seconds;
     record(&outcome, report);
-    let choice = Choice::of(&outcome);
+    let choice = Choice::of(&outcome, stand);
     match choice.engine {
         Chosen::Rays(rays) => report.set("rays", rays),
-        Chosen::Paper((max_solid_angle, resolution)) => {
+        Chosen::Raster((max_solid_angle, resolution))
+        | Chosen::Paper((max_solid_angle, resolution)) => {
             report.set("max_solid_angle", f64::from(max_solid_angle));
             report.set("raster_resolution", resolution);
         }
@@ -182,23 +211,47 @@ pub(super) fn choose(
 /// Rays of a run whose AOVs do not depend on them.
 const FEWEST_RAYS: u32 = 16;
 
-/// Everything but rays that can do the job.
-pub(super) fn candidates<'s>(stand: &'s Stand<'_>) -> Vec<Candidate<'s>> {
+/// Everything but rays that can do the job, settings of one engine next to each other, cheap ones first.
+fn rivals(stand: &Stand<'_>) -> Vec<Chosen> {
     // Without surfels there is nothing to rasterize, and dicing for it would cost more than rays do.
-    // Nor does the paper's engine know its error at a receiver.
+    // Nor do these engines know their error at a receiver.
     let asks_error = stand.aovs.iter().any(|aov| aov.error_of().is_some());
     if stand.job.engine != EngineChoice::Auto || stand.surfel_count() == 0 || asks_error {
         return Vec::new();
     }
-    PAPER_KNOBS
-        .iter()
-        .map(|&knobs| Candidate {
-            engine: "paper",
+    let lighting = stand.scene().lighting;
+    let asks_open = (stand.aovs.iter()).any(|&aov| raster::asks_open(aov, lighting));
+    let is_baked = matches!(stand.light(), Light::Baked(_));
+    let raster = (RASTER_KNOBS.iter()).filter(|_| is_baked && !asks_open);
+    (raster.map(|&knobs| Chosen::Raster(knobs)))
+        .chain(PAPER_KNOBS.iter().map(|&knobs| Chosen::Paper(knobs)))
+        .collect()
+}
+
+/// [`rivals`] for the pilot.
+pub(super) fn candidates<'s>(stand: &'s Stand<'_>) -> Vec<Candidate<'s>> {
+    let candidate = |rival| {
+        let (engine, knobs, make): (_, _, Box<dyn Fn() -> Box<dyn Method + 's> + 's>) = match rival
+        {
+            Chosen::Raster(knobs) => {
+                let method = move || stand.raster(knobs, FEWEST_RAYS);
+                ("raster", knobs, Box::new(move || Box::new(method())))
+            }
+            Chosen::Paper(knobs) => {
+                let method = move || stand.paper(knobs);
+                ("paper", knobs, Box::new(move || Box::new(method())))
+            }
+            Chosen::Rays(_) | Chosen::Maps(_) => return None,
+        };
+        Some(Candidate {
+            engine,
             knobs: paper_knobs(knobs),
             preparation: OCTREE_SECONDS * stand.surfel_count() as f64,
-            make: Box::new(move || Box::new(stand.paper(knobs))),
+            sees_groups: engine == "raster",
+            make,
         })
-        .collect()
+    };
+    rivals(stand).into_iter().filter_map(candidate).collect()
 }
 
 /// As candidates and reports name them.

@@ -4,6 +4,7 @@ use super::Error;
 use super::choice::{self, Chosen};
 use super::job::{EngineChoice, GatherJob};
 use super::maps::{self, MapsKnobs, MapsMethod, Promise};
+use super::raster::{self, RasterMethod};
 use super::report::{Report, timed};
 use super::spacing::{self, Lit, Relit};
 use super::world::World;
@@ -123,16 +124,18 @@ pub(super) fn gather(
         ..stand.scene()
     };
     let results = match found.choice.engine {
-        Chosen::Rays(rays) => {
-            let settings = stand.rays_settings(rays);
-            let engine = stand.rays_with(settings);
-            let reference = Reference {
-                engine: &stand.rays_with(settings.reference()),
-                cost: settings.reference().rays / settings.rays.max(1),
-                error_share: RaysSettings::REFERENCE_ERROR_SHARE,
-            };
-            let run = (&mut *report, diagnostics);
-            see(&stand, scene, ("rays", &engine, reference), run)?
+        Chosen::Rays(rays) => see_rays(&stand, scene, rays, (&mut *report, diagnostics))?,
+        Chosen::Raster(knobs) => {
+            let results = see_raster(&stand, scene, knobs, (&mut *report, diagnostics))?;
+            found.look_back(&results, report);
+            match found.rays_instead(aovs, job, report) {
+                Some(rays) => {
+                    let results = see_rays(&stand, scene, rays, (&mut *report, diagnostics))?;
+                    found.look_back(&results, report);
+                    results
+                }
+                None => results,
+            }
         }
         Chosen::Paper(knobs) => {
             timed(&mut report.seconds.octree, || stand.octree());
@@ -213,6 +216,18 @@ impl<'a> Stand<'a> {
         self.world
     }
 
+    pub(super) fn light(&self) -> &'a Light {
+        self.light
+    }
+
+    /// What lights hits anew that are too near to read surfels.
+    pub(super) fn near_light(&self) -> Option<HitLight<'a>> {
+        match &self.source {
+            Some(RadianceSource::Baked { near, .. }) => *near,
+            _ => None,
+        }
+    }
+
     pub(super) fn scene(&self) -> GatherScene<'a> {
         GatherScene {
             shader: self.world.shader,
@@ -259,6 +274,13 @@ impl<'a> Stand<'a> {
         PaperEngine::new(self.octree(), settings)
     }
 
+    /// The raster engine with these knobs, solid angle and resolution, and rays for what it does not tell. Builds the
+    /// octree if nobody has.
+    pub(super) fn raster(&self, knobs: (f32, u32), rays: u32) -> RasterMethod<'_> {
+        let others = self.rays_with(self.rays_settings(rays));
+        RasterMethod::new(self, knobs, others)
+    }
+
     /// Maps with these knobs, and rays for the rest.
     pub(super) fn maps(&self, knobs: &MapsKnobs, promise: Option<Promise>) -> MapsMethod<'_> {
         // Whoever is handed over asks for the sky alone: rays that need not know what they hit are faster.
@@ -297,6 +319,46 @@ fn whole_cloud(light: &Light) -> SurfelCloud {
         Light::Baked(baked) => baked.cloud.clone(),
         Light::Loaded(clouds) => SurfelCloud::joined(clouds),
     }
+}
+
+/// Gather with so many rays.
+fn see_rays(
+    stand: &Stand<'_>,
+    scene: GatherScene<'_>,
+    rays: u32,
+    run: (&mut Report, &Diagnostics),
+) -> Result<Results, Error> {
+    let settings = stand.rays_settings(rays);
+    let engine = stand.rays_with(settings);
+    let reference = Reference {
+        engine: &stand.rays_with(settings.reference()),
+        cost: settings.reference().rays / settings.rays.max(1),
+        error_share: RaysSettings::REFERENCE_ERROR_SHARE,
+    };
+    see(stand, scene, ("rays", &engine, reference), run)
+}
+
+/// Gather with the raster engine.
+fn see_raster(
+    stand: &Stand<'_>,
+    scene: GatherScene<'_>,
+    knobs: (f32, u32),
+    (report, diagnostics): (&mut Report, &Diagnostics),
+) -> Result<Results, Error> {
+    timed(&mut report.seconds.octree, || stand.octree());
+    let method = stand.raster(knobs, stand.job.rays);
+    method.record(stand, report);
+    let reference = Reference {
+        engine: &stand.rays_with(stand.rays_settings(raster::REFERENCE_RAYS)),
+        cost: raster::REFERENCE_COST,
+        error_share: 0.0,
+    };
+    see(
+        stand,
+        scene,
+        ("raster", &method, reference),
+        (report, diagnostics),
+    )
 }
 
 /// Gather with `method` and, where no pilot has, estimate its error against `reference`.

@@ -55,6 +55,8 @@ pub enum EngineChoice {
     Rays,
     /// Depth maps for what only asks for the sky, rays for the rest.
     Maps,
+    /// Points for reflected light, rays for what asks which directions are open.
+    Raster,
     /// The published method.
     Paper,
 }

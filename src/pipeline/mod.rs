@@ -8,6 +8,7 @@ mod job;
 mod maps;
 mod outputs;
 mod points;
+mod raster;
 mod render;
 mod report;
 mod spacing;

@@ -96,7 +96,8 @@ pub(super) fn lit(
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Lit, Error> {
     let run = (&mut *report, diagnostics);
-    let is_asked = job.clouds.is_empty() && job.engine != EngineChoice::Paper;
+    let is_asked =
+        job.clouds.is_empty() && !matches!(job.engine, EngineChoice::Raster | EngineChoice::Paper);
     let Some(tolerance) = job.tolerance.filter(|_| is_asked) else {
         return Ok(light(world, receivers, aovs, job, run)?.into());
     };

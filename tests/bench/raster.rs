@@ -26,12 +26,12 @@ use surflux::trace::Tracer;
 
 /// Solid angle and resolution.
 const KNOBS: [(f32, u32); 6] = [
-    (0.2, 6),
+    (0.4, 6),
+    (0.2, 12),
     (0.1, 12),
-    (0.05, 12),
-    (0.03, 12),
-    (0.02, 24),
-    (0.01, 48),
+    (0.1, 24),
+    (0.03, 24),
+    (0.03, 48),
 ];
 
 /// Rounds, one engine after the other; medians are told.

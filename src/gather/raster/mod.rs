@@ -2,30 +2,40 @@
 //! directions. PBGI §6.1, modernized.
 //!
 //! Receivers that stand and look alike share a cut (`cut`). What the group sees of a cluster is found out by a few rays
-//! from its members to surfels of the cluster, large clusters first: where they agree the whole cluster is seen or not,
-//! where they differ it is opened, and what is small and still partly hidden every receiver asks for itself, if it
-//! matters. How much light a cluster sends to a receiver is then not sampled but computed, for each receiver from its own
-//! place (`transport`), so that sharing costs no parallax and errors are those of shadow borders alone. Surfels nearer
-//! than a few radii are seen by short rays in directions that all receivers share (`near`). All rays meet the scene's own
-//! geometry: nothing leaks through thin walls.
+//! from its members to surfels of the cluster (`probe`), large clusters first: where they agree the whole cluster is seen or
+//! not, where they differ it is opened, and of what is small and still partly hidden more rays tell a share that changes
+//! evenly across the group (`doubt`). How much light a cluster sends to a receiver is then not sampled but computed, of parts
+//! of it that are smaller still, for each receiver from its own place (`transport`), so that sharing costs no parallax and
+//! errors are those of shadow borders alone. Surfels nearer than a few radii are seen by short rays in directions that all
+//! receivers share (`near`). All rays meet the scene's own geometry: nothing leaks through thin walls. Finer knobs make
+//! groups smaller too, down to single receivers: what neighbors may say for each other is a knob like the others.
 //!
-//! Not solved: sharp bright spots and few receivers (531 in a box) leave 1.5 % however fine the knobs. The prototype's
-//! figures follow, measured in a Cornell box with two balls, 100 000 surfels, 60 216 pixels, plain code, µs a receiver and error of the
-//! indirect irradiance (rays: 256 take 26 and err by 2.9 %, 1024 take 105 and 0.97 %). What lost:
-//! - four rays to each of the last clusters (0.1 sr): 13.3 and 3.8 %; large clusters first: 9.9 and 3.8 %;
+//! What lost, in a Cornell box with two balls, 105 472 surfels, pixels of a 256² picture, µs a receiver and error of the
+//! indirect irradiance:
+//! - light computed of the very clusters that are asked for, where rays are what costs: 10.3 and 2.8 %; of parts a fifth of
+//!   their size, with as many rays, 13.6 and 1.9 %;
+//! - every receiver its own ray to what is partly hidden (0.2 sr): 15.5 and 2.9 %, four of them 23 and 1.7 %; a plane
+//!   through 32 answers of the group 13.4 and 1.6 %;
+//! - groups of 64 whatever their size: an error of 1.5 % with 531 receivers in the box, however fine all else is;
+//! - balls around clusters for what is below the horizon, or averted: 160 of 220 clusters asked had nothing to see; slabs
+//!   across their normals: 19 of 80;
+//! - two rays instead of four to ask whether a cluster is seen: 9.6 and 3.9 % instead of 12 and 2.2 %.
+//!
+//! And in an earlier form of it, with other errors on top:
 //! - blocked shares times the mean light of a cluster: 1 to 2 % too dark, since shadows of the light and what a receiver
 //!   does not see are behind the same things; the light of the surfels that rays reach, 0.1 to 0.5 %;
-//! - solid angles to second order in the cluster's size: 3.8 % against 3.6 %, 0.5 % too dark;
 //! - the softened A/(πd² + A) instead of A/πd²: up to 0.8 % too dark;
 //! - distances from the group's ball instead of from its nearest member: 855 clusters instead of 447, 1.5 times the time;
 //! - near surfels by the group's ball instead of pair by pair: 56 instead of 4 of them, 4 times the rays.
 
 mod cut;
+mod doubt;
 mod group;
 mod near;
+mod probe;
 mod transport;
 
-use super::{Engine, Hemisphere};
+use super::{Engine, Hemisphere, HitLight};
 use crate::octree::{NodeKind, Octree};
 use crate::receivers::Receivers;
 use crate::surfels::DiceMap;
@@ -33,16 +43,17 @@ use crate::trace::Tracer;
 use fearless_simd::{Level, dispatch};
 use glam::Vec3;
 use group::Group;
+use rayon::prelude::*;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::ops::Range;
 
 /// How finely the engine looks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RasterSettings {
-    /// Largest solid angle of a cluster, sr, seen from the nearest receiver of a group.
+    /// Largest solid angle, sr, of a cluster that part of a group may see, from the nearest receiver of the group.
     pub max_solid_angle: f32,
-    /// A third of the rays from a group to a cluster, a quarter of the square root of the directions to what is near; at
-    /// least 1.
+    /// Three times the rays that ask whether a group sees a cluster, twice the square root of those that ask how much of
+    /// it, half of that of the directions to what is near; at least 1.
     pub raster_resolution: u32,
     /// Nothing beyond this distance lights, stage units; `None` = no limit.
     pub max_distance: Option<f32>,
@@ -61,21 +72,29 @@ impl Default for RasterSettings {
 /// What follows from the settings.
 #[derive(Debug, Clone, Copy)]
 struct Knobs {
+    /// Up to this solid angle a cluster may be seen in part, sr: larger ones are opened.
     max_solid_angle: f32,
+    /// Largest solid angle of what light is computed of, sr.
+    max_area: f32,
     /// Up to this solid angle clusters are asked whether they are seen as a whole, sr.
     max_asked: f32,
-    /// Rays of a group to a cluster.
+    /// Rays of a group that ask whether a cluster is seen.
     rays: usize,
-    /// Rays of a receiver to a partly hidden cluster.
-    own_rays: u32,
-    /// Most receivers of a group.
-    members: usize,
-    /// Share of a receiver's light below which it believes the group about a partly hidden cluster.
-    least_share: f32,
+    /// Rays of a group to a cluster that is seen in part, if its light is as much as such clusters usually have.
+    more_rays: f32,
+    /// Largest radius of a group, stage units.
+    max_radius: f32,
     max_distance: f32,
     /// Surfels closer than this many of their radii are near.
     near_radii: f32,
 }
+
+/// Light is computed of areas this many times smaller than what is asked for: that costs 1 ns a receiver and area, and a
+/// ray 150. At 0.2 sr and 4 rays, 16 more, a ratio of 2 errs by 2.5 %, of 4 by 2.0 %, of 10 by 1.9 %.
+const AREA_RATIO: f32 = 5.0;
+
+/// Largest solid angle of what light is computed of, sr: with 0.08, one bounce in a box is 0.6 % too dark.
+const MAX_AREA: f32 = 0.04;
 
 /// Surfels count as points: the finer clusters are, the farther are those that do.
 const NEAR_ANGLE: f32 = 0.03;
@@ -84,31 +103,32 @@ const NEAR_ANGLE: f32 = 0.03;
 const MAX_ASKED: f32 = 0.5;
 
 /// Solid angle of clusters that are asked over that of the last ones.
-const ASKED_RATIO: f32 = 10.0;
+const ASKED_RATIO: f32 = 5.0;
 
-/// Light of a partly hidden cluster that is worth a ray of one receiver, over the largest solid angle: a sixth of what
-/// such a cluster has on average.
-const SHARE_A_STERADIAN: f32 = 0.05;
-
-/// Members of a group times its rays to a cluster: with many rays groups get smaller, until every member is asked. In a
-/// box with bright spots and 531 receivers, groups of 64 err by 1.7 % however fine all else is.
-const MEMBER_RAYS: usize = 512;
+/// Radius of the largest group over that of its smallest cluster, half the scene's diagonal away. What the group sees of it
+/// is taken to change evenly from one end of the group to the other.
+const GROUP_RATIO: f32 = 0.5;
 
 impl Knobs {
-    fn of(settings: RasterSettings) -> Self {
+    fn of(settings: RasterSettings, octree: &Octree) -> Self {
         let resolution = settings.raster_resolution.max(1);
+        let max_solid_angle = settings.max_solid_angle;
+        let cluster = (max_solid_angle * FRAC_1_PI).sqrt();
+        let bounds = octree.bounds();
+        let away = if bounds.is_empty() {
+            0.0
+        } else {
+            0.5 * bounds.diagonal()
+        };
         Self {
-            max_solid_angle: settings.max_solid_angle,
-            max_asked: (ASKED_RATIO * settings.max_solid_angle).min(MAX_ASKED),
+            max_solid_angle,
+            max_area: (max_solid_angle / AREA_RATIO).min(MAX_AREA),
+            max_asked: (ASKED_RATIO * max_solid_angle).min(MAX_ASKED),
             rays: (resolution / 3).clamp(2, 64) as usize,
-            members: (MEMBER_RAYS / (resolution / 3).clamp(2, 64) as usize).clamp(8, group::MOST),
-            own_rays: (resolution / 24).clamp(1, 8),
-            least_share: SHARE_A_STERADIAN * settings.max_solid_angle,
+            more_rays: 0.25 * (resolution * resolution) as f32,
+            max_radius: GROUP_RATIO * cluster * away,
             max_distance: settings.max_distance.unwrap_or(f32::INFINITY),
-            near_radii: cut::NEAR_RADII
-                * (NEAR_ANGLE / settings.max_solid_angle)
-                    .sqrt()
-                    .clamp(1.0, 4.0),
+            near_radii: cut::NEAR_RADII * (NEAR_ANGLE / max_solid_angle).sqrt().clamp(1.0, 4.0),
         }
     }
 }
@@ -122,10 +142,14 @@ pub struct RasterEngine<'a> {
     octree: &'a Octree,
     tracer: &'a Tracer,
     dice: &'a DiceMap,
+    near_light: Option<HitLight<'a>>,
     /// Surfels below each node, in leaf order.
     surfels: Vec<Range<u32>>,
+    /// How far parts of each node rise from the plane through its center across its normal.
+    heights: Vec<f32>,
     /// Place in leaf order of each surfel of the cloud.
     place: Vec<u32>,
+    targets: probe::Targets,
     knobs: Knobs,
     directions: near::Directions,
     level: Level,
@@ -148,15 +172,28 @@ impl<'a> RasterEngine<'a> {
         for (leaf_place, i) in (0..).zip(0..surfels.len()) {
             place[surfels.id(i) as usize] = leaf_place;
         }
+        let surfels = surfels_of_nodes(octree);
         Self {
             octree,
             tracer,
             dice,
-            surfels: surfels_of_nodes(octree),
+            near_light: None,
+            heights: heights(octree, &surfels),
+            surfels,
             place,
-            knobs: Knobs::of(settings),
+            targets: probe::Targets::new(octree.surfels()),
+            knobs: Knobs::of(settings, octree),
             directions: near::Directions::new(settings.raster_resolution.max(1)),
             level: Level::new(),
+        }
+    }
+
+    /// The same, but hits nearer than surfels can tell are lit anew, as rays do. `light` knows no bounces.
+    #[must_use]
+    pub fn with_near_light(self, light: Option<HitLight<'a>>) -> Self {
+        Self {
+            near_light: light,
+            ..self
         }
     }
 
@@ -167,14 +204,17 @@ impl<'a> RasterEngine<'a> {
             cut::find(self, group)
         });
         let mut sums = near::irradiance(self, group, &cut.near);
-        let far = dispatch!(self.level, simd => {
-            let _ = simd;
-            transport::irradiance(group, &cut.seen, self.knobs.max_distance)
-        });
-        for (i, (sum, far)) in sums.iter_mut().zip(far).enumerate() {
+        let max_distance = self.knobs.max_distance;
+        let seen = |areas: &[transport::Area]| -> Vec<Vec3> {
+            dispatch!(self.level, simd => {
+                let _ = simd;
+                transport::irradiance(group, areas, max_distance)
+            })
+        };
+        for (sum, far) in sums.iter_mut().zip(seen(&cut.seen)) {
             *sum += far;
-            *sum = cut::add_doubtful(self, (group, i), &cut.doubtful, *sum);
         }
+        doubt::add(self, group, &cut, &seen, &mut sums);
         sums
     }
 }
@@ -193,7 +233,27 @@ fn surfels_of_nodes(octree: &Octree) -> Vec<Range<u32>> {
     all
 }
 
+/// How far parts of each node rise from the plane through its center across its normal.
+fn heights(octree: &Octree, ranges: &[Range<u32>]) -> Vec<f32> {
+    let surfels = octree.surfels();
+    let height = |(index, range): (usize, &Range<u32>)| {
+        let node = octree.node(index);
+        let rise = |i: usize| {
+            let slope = node.normal.cross(surfels.normal(i)).length();
+            let middle = node.normal.dot(surfels.position(i) - node.center).abs();
+            middle + slope * surfels.radius(i)
+        };
+        let all = range.start as usize..range.end as usize;
+        all.map(rise).fold(0.0, f32::max).min(node.radius)
+    };
+    ranges.par_iter().enumerate().map(height).collect()
+}
+
 impl Engine for RasterEngine<'_> {
+    fn max_distance(&self) -> f32 {
+        self.knobs.max_distance
+    }
+
     fn see(
         &self,
         receivers: &Receivers,
@@ -203,7 +263,7 @@ impl Engine for RasterEngine<'_> {
     ) {
         let start = block.start;
         let mut irradiance = vec![Vec3::ZERO; block.len()];
-        for members in group::alike(receivers, block.clone(), self.knobs.members) {
+        for members in group::alike(receivers, block.clone(), self.knobs.max_radius) {
             let group = Group::new(self.tracer, receivers, &members);
             for (&i, value) in members.iter().zip(self.irradiance(&group)) {
                 irradiance[i - start] = value;

@@ -5,7 +5,7 @@
 //! if that is near to its receiver. Nothing counts twice, and nothing is left out.
 
 use super::RasterEngine;
-use super::group::Group;
+use super::group::{self, Group};
 use crate::math::bits::bits_of;
 use crate::math::sequence;
 use glam::{Mat3, Vec3};
@@ -52,12 +52,17 @@ pub(super) fn irradiance(
     let (asking, reach) = who_asks(engine, group, &near);
     let reach = reach.min(engine.knobs.max_distance);
     let surfels = engine.octree.surfels();
-    let mut hits = [None; super::group::MOST];
+    let mut hits = [None; group::MOST];
+    let mut starts = [Vec3::ZERO; group::MOST];
     for (&direction, &asking) in engine.directions.0.iter().zip(&asking) {
         if asking == 0 {
             continue;
         }
-        (engine.tracer).closest_along(direction, &group.origins, (reach, asking), &mut hits);
+        let starts = &mut starts[..group.len()];
+        for (i, start) in starts.iter_mut().enumerate() {
+            *start = group.start(i, direction);
+        }
+        (engine.tracer).closest_along(direction, starts, (reach, asking), &mut hits);
         for i in bits_of(asking) {
             let Some(hit) = hits[i] else { continue };
             let id = (engine.dice).surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
@@ -66,7 +71,11 @@ pub(super) fn irradiance(
             };
             let found = near.binary_search_by_key(&place, |&(place, _)| place);
             if found.is_ok_and(|k| near[k].1 >> i & 1 == 1) {
-                sums[i] += surfels.reflected(place as usize) * group.normals[i].dot(direction);
+                let radius = surfels.radius(place as usize);
+                let anew = (engine.near_light).filter(|light| light.is_near(&hit, radius));
+                let light = anew.map(|light| light.reflected(&hit));
+                let light = light.unwrap_or(surfels.reflected(place as usize));
+                sums[i] += light * group.normals[i].dot(direction);
             }
         }
     }

@@ -11,6 +11,7 @@ use crate::gather::ray_query::RayQuery;
 use crate::math::bits::bits_of;
 use crate::math::sequence;
 use crate::receivers::Receivers;
+use crate::trace::Hit;
 use glam::{Mat3, Vec3};
 use std::f32::consts::{PI, TAU};
 use std::ops::Range;
@@ -46,6 +47,8 @@ pub(super) struct Looks<'a> {
 struct Packet {
     stands: Vec<Stand>,
     origins: Vec<Vec3>,
+    /// How far they lie above the receivers.
+    lifts: Vec<f32>,
     normals: Vec<Vec3>,
     /// Bits of receivers that mirror directions at their plane.
     mirroring: u64,
@@ -104,7 +107,9 @@ impl Looks<'_> {
                 }
                 if let Some(hit) = found[i] {
                     covered |= 1 << i;
-                    hits[i].push((hit.distance, source.radiance(&hit, origin, own)));
+                    let lit = self.past_plane((packet, i), own, hit);
+                    let light = lit.map(|hit| source.radiance(&hit, origin, own));
+                    hits[i].push((hit.distance, light.unwrap_or(Outgoing::BLACK)));
                 }
             }
         } else {
@@ -116,6 +121,22 @@ impl Looks<'_> {
             }
         }
         Along { facing, covered }
+    }
+
+    /// Where the light along `direction` comes from that receiver `i` sees covered by `hit`: what lies beyond, if the
+    /// receiver lies in the plane of what was hit, as on the edge of a room whose walls are prims of their own. Whether it
+    /// is on this side of it or that is a matter of rounding.
+    fn past_plane(&self, (packet, i): (&Packet, usize), direction: Vec3, hit: Hit) -> Option<Hit> {
+        let (from, lift) = (packet.origins[i], packet.lifts[i]);
+        if hit.distance >= lift {
+            return Some(hit);
+        }
+        let (start, max) = (from + direction * lift, self.max_distance - lift);
+        let beyond = self.query.closest(start, direction, max)?;
+        Some(Hit {
+            distance: beyond.distance + lift,
+            ..beyond
+        })
     }
 
     fn fill(
@@ -167,13 +188,17 @@ fn fill_light(hits: &[(f32, Outgoing)], seen: &mut Hemisphere) {
 impl Packet {
     fn new(query: &dyn RayQuery, receivers: &Receivers, range: Range<usize>) -> Self {
         let stands: Vec<_> = range.clone().map(|i| Stand::of(receivers, i)).collect();
-        let origins = (range.clone().zip(&stands))
+        let origins: Vec<Vec3> = (range.clone().zip(&stands))
             .map(|(i, stand)| query.lift(receivers.position[i], stand.lift))
             .collect();
+        let positions = &receivers.position[range.clone()];
+        let lift = |(origin, position): (&Vec3, &Vec3)| origin.distance(*position);
+        let lifts = origins.iter().zip(positions).map(lift).collect();
         let mirroring = mask_of(&stands, |stand| stand.mirror.is_some());
         Self {
             stands,
             origins,
+            lifts,
             normals: receivers.normal[range].to_vec(),
             mirroring,
         }

@@ -4,6 +4,7 @@ use super::super::Error;
 use super::super::choice::{self, Choice, Chosen, PAPER_KNOBS, paper_knobs};
 use super::super::gather::Stand;
 use super::super::maps::{self, MapsKnobs, Promise};
+use super::super::raster::RASTER_KNOBS;
 use super::super::world::World;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::GatherScene;
@@ -57,6 +58,9 @@ impl<'a> Swept<'a> {
         };
         if supports(aov) {
             subjects.extend(self.maps(stand));
+        }
+        if aov == Aov::IrradianceIndirect {
+            subjects.extend(self.raster());
         }
         if !samples_sky {
             subjects.extend(self.paper());
@@ -116,6 +120,23 @@ impl<'a> Swept<'a> {
                 auto: None,
                 sees: Sees::All(None),
             }
+        })
+    }
+
+    /// Neighbors share most of its work: it is timed at all receivers.
+    fn raster<'s>(&self) -> impl Iterator<Item = Subject<'s>>
+    where
+        'a: 's,
+    {
+        let surfels = self.surfels;
+        let knobs = RASTER_KNOBS.iter().filter(|_| surfels.surfel_count() > 0);
+        knobs.map(move |&knobs| Subject {
+            sees: Sees::All(None),
+            ..each(
+                "raster",
+                paper_knobs(knobs),
+                Box::new(surfels.raster(knobs, 1)),
+            )
         })
     }
 
@@ -184,8 +205,13 @@ pub(super) fn auto<'s>(
         pilot_microseconds: 1e6 * (outcome.seconds + surfel_seconds)
             / stand.receivers.len().max(1) as f64,
     };
-    let choice = Choice::of(&outcome);
+    let choice = Choice::of(&outcome, stand);
     let (engine, knobs, method): (_, _, Box<dyn Method + 's>) = match choice.engine {
+        Chosen::Raster(knobs) => {
+            let rays = outcome.rays.unwrap_or(1);
+            let method = Box::new(stand.raster(knobs, rays));
+            ("raster", paper_knobs(knobs), method)
+        }
         Chosen::Paper(knobs) => ("paper", paper_knobs(knobs), Box::new(stand.paper(knobs))),
         Chosen::Rays(rays) => (
             "rays",
@@ -210,7 +236,7 @@ pub(super) fn auto<'s>(
         knobs,
         method,
         auto: Some(auto),
-        sees: if engine == "maps" {
+        sees: if matches!(engine, "maps" | "raster") {
             Sees::All(outcome.check)
         } else {
             Sees::Each

@@ -1,0 +1,97 @@
+//! How a candidate whose neighbors share their work is looked at: at whole groups of them, as a run has them.
+
+use super::{Bench, Judge};
+use crate::diagnostics::Cancelled;
+use crate::gather::{self, estimate::spread};
+use crate::pilot::{Candidate, Method, check};
+use crate::receivers::Receivers;
+
+/// Groups looked at, each around another one of the pilot's receivers: 3072 receivers of the run.
+const GROUPS: usize = 48;
+
+/// Whole groups of neighbors.
+pub(super) struct Groups {
+    receivers: Receivers,
+    /// Which of the pilot's receivers are in them.
+    few: Vec<usize>,
+    /// Where they are among `receivers`.
+    places: Vec<usize>,
+}
+
+impl Groups {
+    /// The groups of some of `picks`, which are among `all`.
+    fn around(all: &Receivers, picks: &[usize]) -> Self {
+        let order = gather::neighbors(all);
+        let mut place_of = vec![0; order.len()];
+        for (place, &i) in order.iter().enumerate() {
+            place_of[i] = place;
+        }
+        let few = spread(picks.len(), GROUPS.min(picks.len()));
+        let group = |&k: &usize| place_of[picks[k]] / gather::BLOCK;
+        let mut groups: Vec<usize> = few.iter().map(group).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        let members = |group: &usize| {
+            let start = group * gather::BLOCK;
+            start..(start + gather::BLOCK).min(order.len())
+        };
+        let chosen: Vec<usize> = groups.iter().flat_map(members).map(|p| order[p]).collect();
+        let place = |k: &usize| chosen.iter().position(|&i| i == picks[*k]);
+        Self {
+            places: few.iter().filter_map(place).collect(),
+            receivers: all.subset(&chosen),
+            few,
+        }
+    }
+}
+
+impl Bench<'_, '_, '_> {
+    /// Seconds a receiver of `method` and its errors.
+    pub(super) fn tried(
+        &mut self,
+        (candidate, method): (&Candidate<'_>, &dyn Method),
+        judge: &Judge,
+    ) -> Result<(f64, Vec<f64>), Cancelled> {
+        if !candidate.sees_groups {
+            let look = self.look(method, &self.few)?;
+            let errors = self.without_reference(&look.results, &judge.reference, judge);
+            return Ok((look.seconds_per_receiver, errors));
+        }
+        let groups = match self.groups.take() {
+            Some(groups) => groups,
+            None => Groups::around(self.pilot.receivers, &self.picks),
+        };
+        let look = self.look(method, &groups.receivers)?;
+        let run = check::subset(&look.results, &groups.places);
+        let reference = check::subset(&judge.reference, &groups.few);
+        let errors = self.without_reference(&run, &reference, judge);
+        self.groups = Some(groups);
+        Ok((look.seconds_per_receiver, errors))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gather::testing::receivers_at;
+    use glam::Vec3;
+
+    #[test]
+    fn the_pilots_receivers_are_found_again_among_their_neighbors() {
+        let places: Vec<_> = (0..5_000)
+            .map(|i| {
+                (
+                    Vec3::new((i * 37 % 71) as f32, (i % 113) as f32, 0.0),
+                    Vec3::Z,
+                )
+            })
+            .collect();
+        let all = receivers_at(&places);
+        let picks = spread(all.len(), 200);
+        let groups = Groups::around(&all, &picks);
+        assert!(groups.places.len() == GROUPS && groups.receivers.len() > 2_000);
+        for (&k, &place) in groups.few.iter().zip(&groups.places) {
+            assert_eq!(groups.receivers.position[place], all.position[picks[k]]);
+        }
+    }
+}
