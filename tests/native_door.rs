@@ -13,6 +13,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use surflux::diagnostics::Diagnostics;
+use surflux::stage::Composition;
 use surflux::stage::native::NativeSource;
 use surflux::stage::raw::{RawAttribute, RawPrim, RawStage, Request, Value};
 use surflux::stage::{Error, Source};
@@ -47,6 +48,7 @@ impl Case {
             time: self.time,
             mask: self.mask.clone(),
             attributes: vec!["*".to_owned()],
+            composition: Composition::default(),
             values_not_needed: Vec::new(),
         }
     }

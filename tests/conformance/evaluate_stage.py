@@ -1,6 +1,6 @@
 """What Pixar's usd-core computes of a stage: the truth that tests/conformance compares scenes with.
 
-One JSON request a line on stdin, {"path", "time", "arrays"}; one JSON answer a line on stdout. Arrays lie in the file
+One JSON request a line on stdin, {"path", "time", "arrays", "unloaded", "variants", "session", "muted"}; one JSON answer a line on stdout. Arrays lie in the file
 `arrays` as little-endian doubles; an answer names them as [offset in doubles, count]. Written without a look at
 surflux's own worker, from the computing API of the schemas (ComputeVisibility, ComputeBoundMaterial, …).
 """
@@ -11,7 +11,7 @@ import os
 import sys
 
 import numpy as np
-from pxr import Gf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdSkel, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdSkel, Vt
 
 PRIMVARS = ("displayColor", "displayOpacity", "st")
 PURPOSES = ("default", "render")
@@ -327,8 +327,21 @@ class Evaluation:
         return found
 
 
+def opened(request):
+    load = Usd.Stage.LoadNone if request["unloaded"] else Usd.Stage.LoadAll
+    root, session = Sdf.Layer.FindOrOpen(request["path"]), request["session"]
+    session = Sdf.Layer.FindOrOpen(session) if session else Sdf.Layer.CreateAnonymous()
+    stage = Usd.Stage.Open(root, session, load)
+    for layer in request["muted"]:
+        stage.MuteLayer(layer)
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        for prim, name, choice in request["variants"]:
+            stage.OverridePrim(prim).GetVariantSet(name).SetVariantSelection(choice)
+    return stage
+
+
 def answer(request):
-    stage = Usd.Stage.Open(request["path"])
+    stage = opened(request)
     time = Usd.TimeCode.Default() if request["time"] is None else Usd.TimeCode(request["time"])
     arrays = Arrays(request["arrays"])
     result = Evaluation(stage, time, arrays).run()

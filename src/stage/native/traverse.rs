@@ -1,11 +1,11 @@
 //! The composed stage → [`RawStage`]: its prims depth first, then each prototype once.
 
 use super::OTHER_DOOR;
-use super::layer_files::LayerFiles;
+use super::layer_files::{EMPTY_SESSION, LayerFiles};
 use super::properties::{Fault, InstanceKey, Properties, Sites, text};
 use crate::diagnostics::{CancelToken, Cancelled, Warning};
-use crate::stage::Error;
 use crate::stage::raw::{RawMeta, RawPrim, RawStage, Request};
+use crate::stage::{Error, Load};
 use openusd::sdf::{self, FieldKey};
 use openusd::usd::{ClipsAPI, Stage};
 use std::collections::HashMap;
@@ -25,6 +25,8 @@ pub(super) struct Traversal<'a> {
     instances: Vec<(usize, usize)>,
     numbers: HashMap<InstanceKey, usize>,
     warnings: Vec<Warning>,
+    /// Prims whose payloads are not loaded.
+    unloaded: Vec<String>,
 }
 
 /// A prim still to be visited.
@@ -55,6 +57,7 @@ impl<'a> Traversal<'a> {
             instances: Vec::new(),
             numbers: HashMap::new(),
             warnings: Vec::new(),
+            unloaded: Vec::new(),
         }
     }
 
@@ -84,7 +87,10 @@ impl<'a> Traversal<'a> {
             self.prims[instance].prototype = Some(roots[prototype]);
         }
         let raw = RawStage {
-            meta: meta(self.stage, root)?,
+            meta: RawMeta {
+                unloaded: self.unloaded,
+                ..meta(self.stage, root)?
+            },
             prims: self.prims,
             prototype_start,
         };
@@ -127,6 +133,19 @@ impl<'a> Traversal<'a> {
             return Ok(Vec::new());
         }
         let handle = self.stage.prim(next.path.clone());
+        if self.request.composition.load == Load::None
+            && !handle.is_loaded().map_err(|error| sites.fault(&error))?
+        {
+            self.unloaded.push(next.path.to_string());
+            return Ok(Vec::new());
+        }
+        if let Some(set) = sites.deselected(self.stage, &handle)? {
+            let error = anyhow::anyhow!(
+                "{}: an empty selection in variant set {set:?} is not supported",
+                next.path
+            );
+            return Err(sites.fault(&error));
+        }
         let own_clips = sites.has_prim_field(self.stage, FieldKey::Clips.as_str());
         if own_clips && self.request.time.is_some() {
             self.check_clips(next, &sites)?;
@@ -257,6 +276,7 @@ fn meta(stage: &Stage, root: &Path) -> Result<RawMeta, Error> {
     };
     let word = |name: &str| Ok::<_, Error>(field(name)?.and_then(text));
     let mut layers = stage.layer_identifiers();
+    layers.retain(|layer| layer != EMPTY_SESSION);
     layers.sort();
     layers.dedup();
     Ok(RawMeta {
@@ -269,6 +289,7 @@ fn meta(stage: &Stage, root: &Path) -> Result<RawMeta, Error> {
         time_codes_per_second: number("timeCodesPerSecond")?.or(number("framesPerSecond")?),
         render_settings_prim_path: word("renderSettingsPrimPath")?,
         layers,
+        unloaded: Vec::new(),
         reader: "native",
     })
 }

@@ -28,6 +28,7 @@ pub fn scene(
     if settings.time.is_none() {
         warn_of_unread_samples(raw, diagnostics);
     }
+    warn_of_unloaded(raw, diagnostics);
     let occurrences = flatten::flatten(raw, settings, diagnostics);
     let layout = geometry::lay_out(raw, &occurrences, settings, diagnostics)?;
     let look = look::resolve(raw, &occurrences, layout.origin(), settings, diagnostics);
@@ -70,6 +71,21 @@ fn warn_of_unread_samples(raw: &RawStage, diagnostics: &Diagnostics) {
              time; they count as not authored: --frames {start} reads them"
         ),
     );
+}
+
+/// Payloads left out by `--load none`: asked for, but what is missing shows in the result.
+fn warn_of_unloaded(raw: &RawStage, diagnostics: &Diagnostics) {
+    if let Some(first) = raw.meta.unloaded.first() {
+        let count = raw.meta.unloaded.len();
+        diagnostics.warn(
+            "unloaded-payload",
+            first.clone(),
+            format!(
+                "payloads of {count} prims, this one first, are not loaded: what they hold is neither drawn nor lit, and \
+                 casts no shadow (--load all brings it in)"
+            ),
+        );
+    }
 }
 
 fn stage_info(meta: &RawMeta, time: Option<f64>, diagnostics: &Diagnostics) -> StageInfo {
