@@ -1266,6 +1266,22 @@ fn truncated_files_are_errors() {
     }
 }
 
+/// Before version 0.4 tables were not compressed; the crate does not read those.
+#[test]
+fn old_binary_layers_are_refused_with_the_way_out() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("old.usdc");
+    let mut bytes = binary(RICH);
+    bytes[8..11].copy_from_slice(&[0, 3, 0]);
+    std::fs::write(&path, bytes).expect("a file");
+    let refused = native(&Case::new(&path, None), &Diagnostics::default());
+    let message = refused.expect_err("too old").to_string();
+    assert!(
+        message.contains("old.usdc") && message.contains("--usd usd-core"),
+        "{message}"
+    );
+}
+
 #[test]
 fn bit_flips_are_survived() {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -36,13 +36,20 @@ pub struct VariantChoice {
     pub prim: String,
     /// Name of the variant set.
     pub set: String,
-    /// Name of the variant; empty = none.
+    /// Name of the variant.
     pub choice: String,
 }
 
 impl fmt::Display for VariantChoice {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(to, "{}{{{}={}}}", self.prim, self.set, self.choice)
+    }
+}
+
+impl VariantChoice {
+    /// Prim path, set, variant.
+    pub(super) fn parts(&self) -> [String; 3] {
+        [&self.prim, &self.set, &self.choice].map(String::clone)
     }
 }
 
@@ -64,7 +71,11 @@ impl FromStr for VariantChoice {
             && prim[1..].split('/').all(|part| {
                 !part.is_empty() && part.chars().all(|c| c.is_alphanumeric() || c == '_')
             });
-        if !is_prim || set.is_empty() || !is_name(set) || !is_name(choice) {
+        if !is_prim
+            || [set, choice]
+                .iter()
+                .any(|name| name.is_empty() || !is_name(name))
+        {
             return Err(shape());
         }
         Ok(Self {
@@ -78,7 +89,7 @@ impl FromStr for VariantChoice {
 /// What became of a [`VariantChoice`] on the composed stage.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum ChoiceOutcome {
-    /// The prim's set has the variant, or none was chosen.
+    /// The prim's set has the variant.
     Applied,
     /// The prim is below a native instance, where no opinion of the session layer reaches.
     BelowInstance,
@@ -156,7 +167,6 @@ mod tests {
             ("/World/Hero", "look", "red-2")
         );
         assert_eq!(choice.to_string(), "/World/Hero{look=red-2}");
-        assert_eq!("/A{x=}".parse::<VariantChoice>().unwrap().choice, "");
         for wrong in [
             "",
             "/A",
@@ -164,6 +174,7 @@ mod tests {
             "/{x=y}",
             "/A{x}",
             "/A{=y}",
+            "/A{x=}",
             "/A{x=y",
             "/A/{x=y}",
             "/A.b{x=y}",

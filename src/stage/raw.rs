@@ -40,7 +40,7 @@ const SKELETAL: [&str; 14] = [
 ];
 
 /// Attributes of geometry, cameras and render settings, which every job needs.
-const ALWAYS: [&str; 63] = [
+const ALWAYS: [&str; 80] = [
     // Imageable, Xformable
     "visibility",
     "purpose",
@@ -65,6 +65,24 @@ const ALWAYS: [&str; 63] = [
     "creaseLengths",
     "creaseSharpnesses",
     "primvars:normals",
+    // BasisCurves, NurbsPatch
+    "curveVertexCounts",
+    "widths",
+    "primvars:widths",
+    "primvars:widths:indices",
+    "type",
+    "basis",
+    "wrap",
+    "pointWeights",
+    "uVertexCount",
+    "vVertexCount",
+    "uOrder",
+    "vOrder",
+    "uKnots",
+    "vKnots",
+    "uRange",
+    "vRange",
+    "trimCurve:counts",
     // implicit gprims
     "size",
     "radius",
@@ -150,6 +168,7 @@ impl Request {
                 "treatAsPoint",
                 "treatAsLine",
                 "poleAxis",
+                "light:materialSyncMode",
             ]);
             attributes.extend(OLD_LIGHT_INPUTS);
         }

@@ -20,7 +20,6 @@ mod stages;
 mod compare;
 mod features;
 #[path = "../support/python.rs"]
-#[expect(dead_code, reason = "shared with tests that run scripts of their own")]
 mod python;
 mod truth;
 

@@ -13,7 +13,7 @@ use crate::stage::raw::{
 };
 use openusd::pcp::{ArcType, LayerId, Node, PrimIndex};
 use openusd::sdf::{self, AbstractData, ChildrenKey, FieldKey, LayerOffset, SpecType};
-use openusd::usd::{Attribute, Prim, Stage, TimeCode};
+use openusd::usd::{Attribute, Stage, TimeCode};
 use std::cell::Ref;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -138,30 +138,6 @@ impl Sites {
         }
         let weakest_first = edits.iter().rev();
         Ok(weakest_first.fold(Vec::new(), |ids, edit| edit.compose_over(&ids)))
-    }
-
-    /// The first variant set whose strongest selection is empty: no variant, but the crate takes a weaker selection.
-    pub(super) fn deselected(&self, stage: &Stage, handle: &Prim) -> Result<Option<String>, Fault> {
-        let mut strongest: BTreeMap<String, bool> = BTreeMap::new();
-        for opinions in self.borrow(stage) {
-            let field = FieldKey::VariantSelection.as_str();
-            let value = opinions.field(&opinions.site.path, field)?;
-            if let Some(sdf::Value::VariantSelectionMap(all)) = value.as_deref() {
-                for (set, choice) in all {
-                    strongest.entry(set.clone()).or_insert(choice.is_empty());
-                }
-            }
-        }
-        strongest.retain(|_, is_empty| *is_empty);
-        if strongest.is_empty() {
-            return Ok(None);
-        }
-        let taken = handle.variant_sets().get_all_variant_selections();
-        let taken = taken.map_err(|error| self.fault(&error))?;
-        let mut wrong = taken
-            .into_iter()
-            .filter(|(set, choice)| strongest.contains_key(set) && !choice.is_empty());
-        Ok(wrong.next().map(|(set, _)| set))
     }
 
     /// Variant sets of the prim, each with its variants.

@@ -226,7 +226,7 @@ fn outcome(stage: &Stage, choice: &VariantChoice) -> anyhow::Result<ChoiceOutcom
     let Some(names) = variants.get(&choice.set) else {
         return Ok(ChoiceOutcome::NoSet(variants.into_keys().collect()));
     };
-    if !choice.choice.is_empty() && !names.contains(&choice.choice) {
+    if !names.contains(&choice.choice) {
         return Ok(ChoiceOutcome::NoVariant(names.iter().cloned().collect()));
     }
     Ok(match prim.is_instance_proxy()? {

@@ -408,7 +408,7 @@ class Worker:
         if variant_set not in sets.GetNames():
             return ["set", sorted(sets.GetNames())]
         variants = sets.GetVariantSet(variant_set).GetVariantNames()
-        if choice and choice not in variants:
+        if choice not in variants:
             return ["variant", sorted(variants)]
         return ["instance" if prim.IsInstanceProxy() else "applied", []]
 

@@ -318,21 +318,6 @@ fn chosen_variants_are_opinions_of_the_session() {
 }
 
 #[test]
-fn no_variant_is_a_choice_that_the_native_door_refuses() {
-    let [root, car] = car_files();
-    let files = [(root.0, &*root.1), (car.0, &*car.1)];
-    let [core, native] = composed_alike(&files, |_| choices(&["/W/b{shape=}"]));
-    assert_eq!(core, Outcome::Equal(2));
-    let Outcome::Refused(message) = native else {
-        panic!("{native:?}");
-    };
-    assert!(
-        message.contains("shape") && message.contains("--usd usd-core"),
-        "{message}"
-    );
-}
-
-#[test]
 fn variants_that_do_not_exist_are_refused_with_those_that_do() {
     let [root, car] = car_files();
     let files = [(root.0, &*root.1), (car.0, &*car.1)];

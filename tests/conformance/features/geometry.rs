@@ -106,22 +106,211 @@ def Xform "top" {{
 
 #[test]
 fn what_is_not_drawn_is_named() {
-    let shapes = [
-        "NurbsPatch \"x\" { point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)]
-            int uVertexCount = 2
-            int vVertexCount = 2
-            int uOrder = 2
-            int vOrder = 2
-            double[] uKnots = [0, 0, 1, 1]
-            double[] vKnots = [0, 0, 1, 1] }",
-        "BasisCurves \"x\" { int[] curveVertexCounts = [4]
-            point3f[] points = [(0, 0, 0), (1, 0, 0), (2, 1, 0), (3, 1, 0)] }",
-        "Points \"x\" { point3f[] points = [(0, 0, 0)] }",
+    for shape in [
+        "Points \"x\" { point3f[] points = [(0, 0, 0)]\n}",
+        "HermiteCurves \"x\" { int[] curveVertexCounts = [2]
+            vector3f[] tangents = [(1, 0, 0), (1, 0, 0)]
+            point3f[] points = [(0, 0, 0), (1, 0, 0)]\n}",
+    ] {
+        unsupported(&format!("def {shape}"), "unsupported-prim");
+    }
+}
+
+#[test]
+fn curves_of_every_type_basis_and_wrap() {
+    let points = "[(0, 0, 0), (1, 0, 0), (2, 1, 0), (3, 1, 0), (4, 0, 1), (5, 0, 2), (6, 1, 1)]";
+    let forms = [
+        ("linear", "bezier", "nonperiodic", 7),
+        ("linear", "bezier", "periodic", 7),
+        ("cubic", "bezier", "nonperiodic", 7),
+        ("cubic", "bezier", "periodic", 6),
+        ("cubic", "bspline", "nonperiodic", 7),
+        ("cubic", "bspline", "periodic", 7),
+        ("cubic", "bspline", "pinned", 7),
+        ("cubic", "catmullRom", "nonperiodic", 7),
+        ("cubic", "catmullRom", "periodic", 7),
+        ("cubic", "catmullRom", "pinned", 7),
     ];
-    for shape in shapes {
-        unsupported(
-            &format!("def {shape}").replace(" }", "\n}"),
-            "unsupported-prim",
+    for (kind, basis, wrap, count) in forms {
+        let points = points
+            .split_inclusive("), ")
+            .take(count)
+            .collect::<String>();
+        let points = format!("{}]", points.trim_end_matches(&[',', ' ', ']'][..]));
+        let text = format!(
+            "def Xform \"x\" {{
+    float3 xformOp:scale = (1, 2, -3)
+    uniform token[] xformOpOrder = [\"xformOp:scale\"]
+    def BasisCurves \"c\" {{
+        uniform token type = \"{kind}\"
+        uniform token basis = \"{basis}\"
+        uniform token wrap = \"{wrap}\"
+        int[] curveVertexCounts = [{count}]
+        point3f[] points = {points}
+        float[] widths = [0.2] ( interpolation = \"constant\" )
+        color3f[] primvars:displayColor = [(1, 0, 0)] ( interpolation = \"uniform\" )
+    }}
+}}"
         );
+        equal(&text, None, 1);
+    }
+}
+
+#[test]
+fn ribbons_and_patches() {
+    let text = r#"
+def BasisCurves "ribbon" {
+    uniform token type = "linear"
+    int[] curveVertexCounts = [2, 3]
+    point3f[] points.timeSamples = { 0: [(0, 0, 0), (1, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)], 10: [(0, 5, 0), (1, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)] }
+    normal3f[] normals = [(0, 1, 0), (0, 1, 0), (0, 1, 0), (0, 0, 1), (0, 1, 0)]
+    float[] widths = [0.1, 0.2, 0.1, 0.5, 0.1] ( interpolation = "varying" )
+}
+def NurbsPatch "patch" {
+    uniform token orientation = "leftHanded"
+    int uVertexCount = 3
+    int vVertexCount = 2
+    int uOrder = 3
+    int vOrder = 2
+    double[] uKnots = [0, 0, 0, 1, 1, 1]
+    double[] vKnots = [0, 0, 1, 1]
+    double2 uRange = (0, 1)
+    double2 vRange = (0, 1)
+    double[] pointWeights = [1, 0.7, 1, 1, 0.7, 1]
+    point3f[] points = [(1, 0, 0), (1, 1, 0), (0, 1, 0), (1, 0, 4), (1, 1, 4), (0, 1, 4)]
+}"#;
+    for time in [None, Some(2.5)] {
+        let prims = if time.is_some() { 2 } else { 1 };
+        let expected = [Outcome::Equal(prims), Outcome::Equal(prims)];
+        assert_eq!(
+            outcomes(
+                &[(
+                    "root.usda",
+                    &text.replace(" }\n    normal", "\n }\n    normal")
+                )],
+                time
+            ),
+            expected
+        );
+    }
+}
+
+#[test]
+fn native_instances_nest_and_share() {
+    let asset = format!(
+        "( defaultPrim = \"A\" )
+def Xform \"A\" {{
+    def Xform \"inner\" ( instanceable = true
+        references = </Leaf> ) {{ double3 xformOp:translate = (0, 1, 0)
+        uniform token[] xformOpOrder = [\"xformOp:translate\"]
+    }}
+    def Xform \"twin\" ( instanceable = true
+        references = </Leaf> ) {{ double3 xformOp:translate = (0, 0, 3)
+        uniform token[] xformOpOrder = [\"xformOp:translate\"]
+    }}
+}}
+def Xform \"Leaf\" {{ {} }}",
+        mesh("m", 1.0)
+    );
+    let root = "def Xform \"W\" {
+    def \"a\" ( instanceable = true
+        references = @asset.usda@ ) { float xformOp:rotateX = 30
+        uniform token[] xformOpOrder = [\"xformOp:rotateX\"]
+    }
+    def \"b\" ( instanceable = true
+        references = @asset.usda@ ) { token visibility = \"invisible\"
+    }
+    def \"c\" ( instanceable = true
+        references = @asset.usda@ ) { token purpose = \"render\"
+        float3 xformOp:scale = (-1, 2, 1)
+        uniform token[] xformOpOrder = [\"xformOp:scale\"]
+    }
+    def \"d\" ( references = @asset.usda@ ) { }
+}";
+    equal_files(&[("root.usda", root), ("asset.usda", &asset)], None, 6);
+}
+
+/// A grid of 2 × 2 quads.
+const GRID: &str = "int[] faceVertexCounts = [4, 4, 4, 4]
+    int[] faceVertexIndices = [0, 1, 4, 3, 1, 2, 5, 4, 3, 4, 7, 6, 4, 5, 8, 7]
+    point3f[] points = [(0, 0, 0), (1, 0, 0.5), (2, 0, 0), (0, 1, 0), (1, 1, 1), (2, 1, 0), (0, 2, 0), (1, 2, 0), (2, 2, 3)]";
+
+#[test]
+fn subdivision_with_holes_left_hands_and_face_varying_data() {
+    let mut text = String::new();
+    let linear = [
+        "none",
+        "cornersOnly",
+        "cornersPlus1",
+        "cornersPlus2",
+        "boundaries",
+        "all",
+    ];
+    for (index, rule) in linear.into_iter().enumerate() {
+        let boundary = ["none", "edgeOnly", "edgeAndCorner"][index % 3];
+        text += &format!(
+            "def Mesh \"m{index}\" {{
+    {GRID}
+    uniform token orientation = \"{}\"
+    int[] holeIndices = [{}]
+    token faceVaryingLinearInterpolation = \"{rule}\"
+    token interpolateBoundary = \"{boundary}\"
+    int[] cornerIndices = [4]
+    float[] cornerSharpnesses = [1.5]
+    color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)] ( interpolation = \"uniform\" )
+    texCoord2f[] primvars:st = [(0, 0), (1, 0), (0, 1), (1, 1)] ( interpolation = \"faceVarying\" )
+    int[] primvars:st:indices = [0, 1, 3, 2, 2, 0, 1, 3, 0, 1, 3, 2, 3, 2, 0, 1]
+}}\n",
+            ["rightHanded", "leftHanded"][index % 2],
+            index % 4
+        );
+    }
+    equal(&text, None, linear.len());
+}
+
+#[test]
+fn subsets_overlap_and_leave_faces_unassigned() {
+    let text = format!(
+        "def Material \"a\" {{ }}
+def Material \"b\" {{ }}
+def Mesh \"m\" {{
+    {GRID}
+    def GeomSubset \"one\" ( apiSchemas = [\"MaterialBindingAPI\"] ) {{
+        uniform token elementType = \"face\"
+        uniform token familyName = \"materialBind\"
+        int[] indices = [0, 1]
+        rel material:binding = </a>
+    }}
+    def GeomSubset \"two\" ( apiSchemas = [\"MaterialBindingAPI\"] ) {{
+        uniform token elementType = \"face\"
+        uniform token familyName = \"materialBind\"
+        int[] indices = [1, 2]
+        rel material:binding = </b>
+    }}
+}}"
+    );
+    equal(&text, None, 1);
+}
+
+#[test]
+fn velocities_between_samples_are_named() {
+    let text = format!(
+        "( timeCodesPerSecond = 24 )
+def PointInstancer \"i\" {{
+    int[] protoIndices = [0, 0]
+    point3f[] positions.timeSamples = {{ 1: [(0, 0, 0), (5, 0, 0)], 2: [(1, 0, 0), (5, 1, 0)]
+    }}
+    vector3f[] velocities.timeSamples = {{ 1: [(48, 0, 0), (0, 0, 0)], 2: [(24, 0, 0), (0, 24, 0)]
+    }}
+    rel prototypes = </i/p>
+    def Xform \"p\" {{ {} }}
+}}",
+        mesh("m", 1.0)
+    );
+    for time in [1.0, 2.0] {
+        equal(&text, Some(time), 2);
+    }
+    for outcome in outcomes(&[("root.usda", &text)], Some(1.5)) {
+        assert_eq!(outcome, Outcome::Unsupported(vec!["velocities".to_owned()]));
     }
 }

@@ -1,6 +1,7 @@
 //! Small stages, one for each feature of composition and of the schemas that the shared assets lack, through both doors.
 
 mod composition;
+mod faults;
 mod geometry;
 mod look;
 mod skinning;
