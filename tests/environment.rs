@@ -121,7 +121,7 @@ fn lit(scene: &Scene, points: &[ShadePoint]) -> (Vec<Vec3>, usize) {
     let shader = Shader::new(scene, &diagnostics);
     let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
     let tracer = Tracer::new(scene);
-    let light = lighting.environment_of(&tracer, points);
+    let light = lighting.environment_of(&tracer, points, f32::INFINITY);
     let values = light.iter().map(|light| light.irradiance).collect();
     (values, diagnostics.warnings().len())
 }
@@ -227,8 +227,8 @@ fn both_parts_of_the_set_hold_the_whole_sky() {
         assert!(error < 1e-4, "{axis}: {sum} {exact}");
     }
     let (points, tracer) = (in_the_open(50), Tracer::new(&scene));
-    let whole = lighting.environment_of(&tracer, &points);
-    let sharp = set.importance_light(&tracer, &points);
+    let whole = lighting.environment_of(&tracer, &points, f32::INFINITY);
+    let sharp = set.importance_light(&tracer, &points, f32::INFINITY);
     for (point, (whole, sharp)) in points.iter().zip(whole.iter().zip(sharp)) {
         let even = set.even().iter().map(|cell| cell.irradiance(point.normal));
         let sum = sharp.irradiance + even.sum::<Vec3>();
@@ -253,7 +253,7 @@ fn receivers_in_blocks_see_what_each_sees_alone() {
             facing(off, spiral_sphere(i * 7 % 150, 150))
         })
         .collect();
-    let together = lighting.environment_of(&tracer, &points);
+    let together = lighting.environment_of(&tracer, &points, f32::INFINITY);
     for (point, light) in points.iter().zip(together) {
         let alone = lighting.environment(&tracer, point);
         let error = (light.irradiance - alone).abs().max_element();
@@ -354,20 +354,63 @@ fn broken_maps_are_warned_of_and_all_light_is_finite() {
 
 /// Directions of what is open and of the light on the floor, which `lights` light.
 fn directions(lights: Vec<Light>) -> Results {
-    let scene = scene(lights);
+    let aovs = [Aov::IlluminationDirection, Aov::BentNormal];
+    gathered(&scene(lights), RaysSettings::default(), &aovs)
+}
+
+/// `aovs` at a point of the first mesh.
+fn gathered(scene: &Scene, settings: RaysSettings, aovs: &[Aov]) -> Results {
     let diagnostics = Diagnostics::default();
-    let shader = Shader::new(&scene, &diagnostics);
+    let shader = Shader::new(scene, &diagnostics);
     let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
-    let tracer = Tracer::new(&scene);
-    let engine = RaysEngine::new(&tracer, None, RaysSettings::default());
-    let receivers = receivers_at(&scene, &[(PrimId(0), 0, 0.3, 0.3)]);
+    let tracer = Tracer::new(scene);
+    let engine = RaysEngine::new(&tracer, None, settings);
+    let receivers = receivers_at(scene, &[(PrimId(0), 0, 0.3, 0.3)]);
     let scene = GatherScene {
         shader: &shader,
         tracer: &tracer,
         lighting: Some(&lighting),
     };
-    let aovs = [Aov::IlluminationDirection, Aov::BentNormal];
-    gather(scene, &engine, &receivers, &aovs, &diagnostics).expect("nobody cancels")
+    gather(scene, &engine, &receivers, aovs, &diagnostics).expect("nobody cancels")
+}
+
+#[test]
+fn only_what_is_nearer_than_the_largest_distance_hides_the_sky() {
+    let folder = TempDir::new().expect("a folder");
+    let path = write(&folder, SIZE, &smooth);
+    let mut builder = SceneBuilder::new();
+    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+    let (x, z) = (Vec3::X * 40.0, Vec3::Z * 40.0);
+    for (name, height) in [("floor", 0.0), ("roof", 0.25)] {
+        let corner = Vec3::new(-20.0, height, -20.0);
+        builder.mesh(name, plate(corner, z, x, 1), gray);
+    }
+    let mut scene = builder.build();
+    let sky = irradiance(&smooth, &DMat3::IDENTITY, Vec3::Y);
+    scene.lights = vec![dome(Some(&path), Vec3::ONE, &DMat3::IDENTITY)];
+    let found = |max_distance: Option<f32>| {
+        let settings = RaysSettings {
+            max_distance,
+            ..RaysSettings::default()
+        };
+        let results = gathered(&scene, settings, &[Aov::IrradianceEnvironment]);
+        let buffer = results.get(Aov::IrradianceEnvironment).expect("asked for");
+        DVec3::from_slice(
+            &buffer
+                .data
+                .iter()
+                .map(|&x| f64::from(x))
+                .collect::<Vec<_>>(),
+        )
+    };
+    let found = [None, Some(100.0), Some(0.2)].map(found);
+    assert!(
+        found[0].max_element() < 1e-3 * sky.max_element(),
+        "{found:?}"
+    );
+    assert_eq!(found[0], found[1]);
+    let off = (found[2] - sky).abs().max_element() / sky.max_element();
+    assert!(off < 0.01, "{found:?} {sky}");
 }
 
 #[test]

@@ -8,9 +8,9 @@
 //! triangles that share a point with them. Clusters are evaluated at the middles of some of their triangles. What lies between cells that agree, such as the shadow of a twig, is not looked for.
 //! Environment and emissive surfaces are wide and evaluated at the center only.
 
-use crate::lighting::{ShadePoint, smooth_offset};
+use crate::lighting::ShadePoint;
 use crate::math::luminance;
-use crate::scene::{PlacedMesh, PrimId, on_the_side_of};
+use crate::scene::{PlacedMesh, PrimId};
 use crate::shading::{Surface, SurfacePoint};
 use crate::surfels::DiceTable;
 use crate::surfels::triangle_dice::{Part, Row};
@@ -47,27 +47,9 @@ impl Side<'_> {
         self.shade_point(t, Vec3::splat(1.0 / 3.0), plane_normal(self.world, t))
     }
 
-    /// The point with `weights` of the corners of triangle `t`. The cosine to the light is taken with the shading
-    /// normal, as a renderer does; shadows and the side that is lit go by the plane.
+    /// See [`ShadePoint::on_side`].
     pub(super) fn shade_point(&self, t: u32, weights: Vec3, plane_normal: Vec3) -> ShadePoint {
-        let [a, b, c] = self.world.corners(t);
-        let sign = if self.back { -1.0 } else { 1.0 };
-        let shading = on_the_side_of(
-            plane_normal,
-            self.world.shading_normal(t, weights.y, weights.z),
-        );
-        let position = a * weights.x + b * weights.y + c * weights.z;
-        let normal = shading * sign;
-        let smooth_offset = (shading != plane_normal)
-            .then(|| self.world.corner_normals(t))
-            .flatten()
-            .map(|normals| smooth_offset(&[a, b, c], &normals, weights, normal));
-        ShadePoint {
-            position,
-            normal,
-            geometric_normal: plane_normal * sign,
-            smooth_offset,
-        }
+        ShadePoint::on_side(self.world, (t, weights), plane_normal, self.back)
     }
 }
 

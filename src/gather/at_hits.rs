@@ -10,18 +10,12 @@
 
 use super::radiance::Outgoing;
 use crate::lighting::{Lighting, ShadePoint};
-use crate::scene::{PlacedMesh, on_the_side_of};
+use crate::scene::PlacedMesh;
 use crate::shading::{Shader, Surface, SurfacePoint};
 use crate::surfels::DiceMap;
 use crate::trace::{Hit, Tracer};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
-
-/// Hits nearer than this many radii of their surfel are lit anew. Relative RMSE of one bounce by 4096 rays and 100 000
-/// surfels at the points of scans, under a sky with four small bright areas, by 0, 1.5 and 3 or 4 radii: Nefertiti
-/// (100 000 triangles) 7.8, 1.6, 1.6 %; bunny 1.2, 0.66, 0.61 %; rays take 1.25 and 2.8 times as long with 1.5 (at pixels 1.2 and
-/// 1.0 times), since many points of a scan lie in pits.
-const NEAR_RADII: f32 = 1.5;
 
 /// Lights and shades single hits, once reflected.
 #[derive(Debug, Clone, Copy)]
@@ -31,9 +25,17 @@ pub struct HitLight<'a> {
     lighting: &'a Lighting,
     /// Tells the sides that reflect: those that have surfels.
     dice: &'a DiceMap,
+    /// See [`Self::within`].
+    near_radii: f32,
 }
 
 impl<'a> HitLight<'a> {
+    /// Hits nearer than this many radii of their surfel are lit anew. Relative RMSE of one bounce by 4096 rays and
+    /// 100 000 surfels at the points of scans, under a sky with four small bright areas, by 0, 1.5 and 3 or 4 radii:
+    /// Nefertiti (100 000 triangles) 7.8, 1.6, 1.6 %; bunny 1.2, 0.66, 0.61 %; rays take 1.25 and 2.8 times as long with
+    /// 1.5 (at pixels 1.2 and 1.0 times), since many points of a scan lie in pits.
+    pub const NEAR_RADII: f32 = 1.5;
+
     /// Light of `lighting`, by its samples for receivers, on the sides of surfaces that have surfels in `dice`; `None` where
     /// single places can't be lit by a few rays: emissive surfaces take many.
     pub fn new(
@@ -47,23 +49,30 @@ impl<'a> HitLight<'a> {
             tracer,
             lighting,
             dice,
+            near_radii: Self::NEAR_RADII,
         })
     }
 
-    /// True if `hit` is too near to a surfel of this radius to see all of it.
-    pub(super) fn is_near(hit: &Hit, radius: f32) -> bool {
-        hit.distance < NEAR_RADII * radius
+    /// Hits nearer than this many radii of their surfel are too near to read it; usually [`Self::NEAR_RADII`].
+    #[must_use]
+    pub fn within(self, near_radii: f32) -> Self {
+        Self { near_radii, ..self }
     }
 
-    /// Radiance from `hit` at `position`; black on a side without surfels.
-    pub(super) fn radiance(&self, hit: &Hit, position: Vec3) -> Outgoing {
+    /// True if `hit` is too near to a surfel of this radius to see all of it.
+    pub(super) fn is_near(&self, hit: &Hit, radius: f32) -> bool {
+        hit.distance < self.near_radii * radius
+    }
+
+    /// Radiance from `hit`; black on a side without surfels.
+    pub(super) fn radiance(&self, hit: &Hit) -> Outgoing {
         let side = (self.dice).surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
         if side.is_none() {
             return Outgoing::BLACK;
         }
-        let (place, surface) = self.surface(hit);
+        let surface = self.surface(hit);
         Outgoing {
-            reflected: self.reflected_by(surface.albedo, (hit, &place), position),
+            reflected: self.reflected_by(surface.albedo, hit),
             emitted: if hit.front {
                 surface.emission
             } else {
@@ -73,43 +82,29 @@ impl<'a> HitLight<'a> {
     }
 
     /// Its reflected part, on a side that has surfels.
-    pub(super) fn reflected(&self, hit: &Hit, position: Vec3) -> Vec3 {
-        let (place, surface) = self.surface(hit);
-        self.reflected_by(surface.albedo, (hit, &place), position)
+    pub(super) fn reflected(&self, hit: &Hit) -> Vec3 {
+        self.reflected_by(self.surface(hit).albedo, hit)
     }
 
-    fn surface(&self, hit: &Hit) -> (SurfacePoint, Surface) {
-        let place = SurfacePoint {
+    fn surface(&self, hit: &Hit) -> Surface {
+        self.shader.surface(&SurfacePoint {
             prim: hit.prim,
             triangle: hit.triangle,
             u: hit.u,
             v: hit.v,
             footprint: 0.0,
-        };
-        (place, self.shader.surface(&place))
+        })
     }
 
-    fn reflected_by(
-        &self,
-        albedo: Vec3,
-        (hit, place): (&Hit, &SurfacePoint),
-        position: Vec3,
-    ) -> Vec3 {
+    fn reflected_by(&self, albedo: Vec3, hit: &Hit) -> Vec3 {
         if albedo == Vec3::ZERO {
             return Vec3::ZERO;
         }
-        let point = self.point(hit, place, position);
-        albedo * self.lighting.glimpse(self.tracer, &point, number(hit)) * FRAC_1_PI
-    }
-
-    fn point(&self, hit: &Hit, place: &SurfacePoint, position: Vec3) -> ShadePoint {
-        let scene = self.shader.scene();
-        let world = PlacedMesh::of(scene, hit.prim);
+        let world = PlacedMesh::of(self.shader.scene(), hit.prim);
         let plane = world.plane_normal(hit.triangle).normalize_or(Vec3::Y);
-        let shading = world.shading_normal(hit.triangle, hit.u, hit.v);
-        let shading = on_the_side_of(plane, shading);
-        let sign = if hit.front { 1.0 } else { -1.0 };
-        ShadePoint::on_mesh(scene, place, position, (shading * sign, plane * sign))
+        let weights = Vec3::new(1.0 - hit.u - hit.v, hit.u, hit.v);
+        let point = ShadePoint::on_side(&world, (hit.triangle, weights), plane, !hit.front);
+        albedo * self.lighting.glimpse(self.tracer, &point, number(hit)) * FRAC_1_PI
     }
 }
 

@@ -42,10 +42,11 @@ impl<'a> Environment<'a> {
         matches!(self, Self::Sampled(_))
     }
 
-    /// Light at `points`, neighbors, before their hemispheres are seen; empty where these are all it takes.
-    pub(super) fn look(self, tracer: &Tracer, points: &[ShadePoint]) -> Vec<SkyLight> {
+    /// Light at `points`, neighbors, before their hemispheres are seen; empty where these are all it takes. Nothing beyond
+    /// `reach` hides it.
+    pub(super) fn look(self, tracer: &Tracer, points: &[ShadePoint], reach: f32) -> Vec<SkyLight> {
         match self {
-            Self::Sampled(lighting) => lighting.environment_of(tracer, points),
+            Self::Sampled(lighting) => lighting.environment_of(tracer, points, reach),
             Self::None | Self::Uniform(_) | Self::Unlit => Vec::new(),
         }
     }

@@ -82,6 +82,11 @@ pub trait Engine: Sync + Debug {
     /// `rays`, `paper`, …
     fn name(&self) -> &'static str;
 
+    /// Nothing beyond this distance, stage units, covers or lights.
+    fn max_distance(&self) -> f32 {
+        f32::INFINITY
+    }
+
     /// Receivers a unit of parallel work: few where each takes long, so that a run can be cancelled soon. At most
     /// 64.
     fn block_size(&self) -> usize {
@@ -238,7 +243,8 @@ impl<'a> Work<'a> {
         let points: Vec<ShadePoint> = (block.range.clone())
             .map(|i| self.point(receivers, i))
             .collect();
-        let sky = self.environment.look(self.scene.tracer, &points);
+        let reach = engine.max_distance();
+        let sky = (self.environment).look(self.scene.tracer, &points, reach);
         let mut visit = |i: usize, hemisphere: &Hemisphere| {
             let light = (self.environment).light(&sky, i - start, hemisphere);
             let seen = self.seen(receivers, (i, &points[i - start]), light, hemisphere);

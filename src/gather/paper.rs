@@ -205,6 +205,10 @@ fn square_covariance(area: f32, normal: Vec3) -> [f32; 6] {
 }
 
 impl Engine for PaperEngine<'_> {
+    fn max_distance(&self) -> f32 {
+        self.cut.max_distance
+    }
+
     fn see(
         &self,
         receivers: &Receivers,

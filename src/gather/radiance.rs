@@ -80,15 +80,14 @@ impl RadianceSource<'_> {
                     return Outgoing::BLACK;
                 };
                 let of_surfel = Outgoing::of_surfel(cloud, i);
-                let near = near.filter(|_| HitLight::is_near(hit, cloud.radius[i as usize]));
-                let reflected =
-                    near.map(|hits| hits.reflected(hit, origin + direction * hit.distance));
+                let near = near.filter(|hits| hits.is_near(hit, cloud.radius[i as usize]));
+                let reflected = near.map(|hits| hits.reflected(hit));
                 Outgoing {
                     reflected: reflected.unwrap_or(of_surfel.reflected),
                     ..of_surfel
                 }
             }
-            Self::AtHits(light) => light.radiance(hit, origin + direction * hit.distance),
+            Self::AtHits(light) => light.radiance(hit),
             Self::Loaded(clouds) => {
                 let position = origin + direction * hit.distance;
                 clouds.iter().fold(Outgoing::BLACK, |sum, loaded| {

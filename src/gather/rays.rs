@@ -184,6 +184,10 @@ impl<'a> RaysEngine<'a> {
 }
 
 impl Engine for RaysEngine<'_> {
+    fn max_distance(&self) -> f32 {
+        self.max_distance
+    }
+
     fn see(
         &self,
         receivers: &Receivers,

@@ -17,7 +17,7 @@ mod stand;
 pub use environment::{EnvironmentCell, EnvironmentSet, SkyLight};
 
 use crate::diagnostics::Diagnostics;
-use crate::scene::Scene;
+use crate::scene::{PlacedMesh, Scene, on_the_side_of};
 use crate::shading::{Shader, SurfacePoint};
 use crate::trace::Tracer;
 use emitters::{EmitterPatterns, Emitters};
@@ -41,6 +41,32 @@ pub struct ShadePoint {
 }
 
 impl ShadePoint {
+    /// The point with barycentric `weights` of triangle `t` of `world`, whose front side has the unit normal `plane`; on
+    /// its back if `back`. The cosine to lights is taken with the shading normal, as a renderer does; shadows and the
+    /// side that is lit go by the plane.
+    pub fn on_side(
+        world: &PlacedMesh<'_>,
+        (t, weights): (u32, Vec3),
+        plane: Vec3,
+        back: bool,
+    ) -> Self {
+        let corners = world.corners(t);
+        let [a, b, c] = corners;
+        let sign = if back { -1.0 } else { 1.0 };
+        let shading = on_the_side_of(plane, world.shading_normal(t, weights.y, weights.z));
+        let normal = shading * sign;
+        let smooth_offset = (shading != plane)
+            .then(|| world.corner_normals(t))
+            .flatten()
+            .map(|normals| smooth_offset(&corners, &normals, weights, normal));
+        Self {
+            position: a * weights.x + b * weights.y + c * weights.z,
+            normal,
+            geometric_normal: plane * sign,
+            smooth_offset,
+        }
+    }
+
     /// The point `surface` with the unit normals (shading, plane) of the side that is lit.
     pub fn on_mesh(
         scene: &Scene,
@@ -208,10 +234,17 @@ impl Lighting {
     }
 
     /// [`Self::environment`], and the direction it comes from, at each of `points`; faster where neighbors follow each
-    /// other, since they look along each direction together.
-    pub fn environment_of(&self, tracer: &Tracer, points: &[ShadePoint]) -> Vec<SkyLight> {
+    /// other, since they look along each direction together. Nothing beyond `reach` hides the environment.
+    pub fn environment_of(
+        &self,
+        tracer: &Tracer,
+        points: &[ShadePoint],
+        reach: f32,
+    ) -> Vec<SkyLight> {
         let set = &self.fine.sky;
-        in_blocks(tracer, points, |stands| self.environment.block(set, stands))
+        in_blocks(tracer, (points, reach), |stands| {
+            self.environment.block(set, stands)
+        })
     }
 
     /// The sky divided anew, for engines that look along directions of their own: [`EnvironmentSet::even`] then has one
@@ -257,6 +290,11 @@ impl Lighting {
     /// True if nothing shines at all: no lights, no environment, no emissive surface.
     pub fn is_dark(&self) -> bool {
         self.lights.is_empty() && !self.has_environment() && !self.has_emitters()
+    }
+
+    /// Lights that shadow rays go to one by one: all but domes and emissive surfaces.
+    pub fn light_count(&self) -> usize {
+        self.lights.len()
     }
 
     /// True if there are dome lights that are not black.
@@ -314,12 +352,12 @@ impl Lighting {
 /// `work` on as many receivers at a time as can look together.
 fn in_blocks(
     tracer: &Tracer,
-    points: &[ShadePoint],
+    (points, reach): (&[ShadePoint], f32),
     work: impl Fn(&[Stand<'_>]) -> Vec<SkyLight>,
 ) -> Vec<SkyLight> {
     let block = |points: &[ShadePoint]| {
         let stands: Vec<_> = (points.iter())
-            .map(|point| Stand::new(tracer, point))
+            .map(|point| Stand::new(tracer, point).reaching(reach))
             .collect();
         work(&stands)
     };
@@ -348,7 +386,7 @@ impl SurfelLighting<'_> {
         let detail = &self.0.coarse;
         let mut light = if self.0.has_environment() {
             let environment = &self.0.environment;
-            let sky = in_blocks(tracer, points, |stands| {
+            let sky = in_blocks(tracer, (points, f32::INFINITY), |stands| {
                 environment.block(&detail.sky, stands)
             });
             sky.into_iter().map(|light| light.irradiance).collect()

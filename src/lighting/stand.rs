@@ -21,6 +21,8 @@ pub(super) struct Stand<'a> {
     pub(super) point: &'a ShadePoint,
     /// Start of rays above the plane.
     pub(super) origin: Vec3,
+    /// How far away what hides the environment may be.
+    pub(super) reach: f32,
     /// Start of those below it, once asked for; `None` = they see nothing.
     below: OnceCell<Option<Vec3>>,
 }
@@ -31,8 +33,14 @@ impl<'a> Stand<'a> {
             tracer,
             point,
             origin: tracer.lift(point.position, point.geometric_normal),
+            reach: f32::INFINITY,
             below: OnceCell::new(),
         }
+    }
+
+    /// The same receiver, from which nothing beyond `reach` hides the environment.
+    pub(super) fn reaching(self, reach: f32) -> Self {
+        Self { reach, ..self }
     }
 
     /// The same receiver with rays above the plane starting at `origin`.
@@ -70,10 +78,10 @@ impl<'a> Stand<'a> {
         }
     }
 
-    /// True if nothing is in unit `direction`.
+    /// True if nothing within reach is in unit `direction`.
     pub(super) fn sees_sky(&self, direction: Vec3) -> bool {
         self.start(direction)
-            .is_some_and(|start| !self.tracer.occluded(start, direction, f32::INFINITY))
+            .is_some_and(|start| !self.tracer.occluded(start, direction, self.reach))
     }
 
     /// True if nothing is between the receiver and `position` on an emissive surface, which lies in unit `direction`

@@ -5,7 +5,7 @@ use super::choice::{self, Chosen};
 use super::job::{EngineChoice, GatherJob};
 use super::maps::{self, MapsKnobs, MapsMethod, Promise};
 use super::report::{Report, timed};
-use super::spacing::{self, Lit};
+use super::spacing::{self, Lit, Relit};
 use super::world::World;
 use crate::bake::{self, BakeSettings, Baked};
 use crate::bounce::{BounceClouds, CoarseCloud};
@@ -22,7 +22,7 @@ use crate::pilot::Method;
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use crate::stage::cloud;
-use crate::surfels::{DiceMap, SurfelCloud};
+use crate::surfels::SurfelCloud;
 use std::cell::OnceCell;
 
 /// The surfels that shine.
@@ -44,21 +44,16 @@ impl Light {
         }
     }
 
-    /// Light after `bounces` reflections but the last.
+    /// Light after `bounces` reflections but the last; after one, hits nearer than `near_radii` of their surfel are lit
+    /// anew.
     pub(super) fn source<'a>(
         &'a self,
         world: &'a World<'_>,
-        bounces: u32,
+        (bounces, near_radii): (u32, f32),
     ) -> Option<RadianceSource<'a>> {
         match self {
             Self::None => None,
-            Self::Baked(baked) => Some(RadianceSource::Baked {
-                cloud: &baked.cloud,
-                dice: &baked.dice,
-                near: (bounces <= 1)
-                    .then(|| hit_light(world, &world.lighting, &baked.dice))
-                    .flatten(),
-            }),
+            Self::Baked(baked) => Some(read_surfels(baked, world, (bounces, near_radii))),
             Self::Loaded(clouds) => Some(RadianceSource::Loaded(
                 clouds
                     .iter()
@@ -67,14 +62,44 @@ impl Light {
             )),
         }
     }
+
+    /// See [`relight`].
+    pub(super) fn at_hits<'a>(
+        &'a self,
+        world: &'a World<'_>,
+        lighting: &'a Lighting,
+    ) -> Option<RadianceSource<'a>> {
+        let Self::Baked(baked) = self else {
+            return None;
+        };
+        relight(baked, world, lighting).map(RadianceSource::AtHits)
+    }
 }
 
-fn hit_light<'a>(
+/// See [`Light::source`].
+pub(super) fn read_surfels<'a>(
+    baked: &'a Baked,
+    world: &'a World<'_>,
+    (bounces, near_radii): (u32, f32),
+) -> RadianceSource<'a> {
+    let near = (bounces <= 1)
+        .then(|| relight(baked, world, &world.lighting))
+        .flatten();
+    RadianceSource::Baked {
+        cloud: &baked.cloud,
+        dice: &baked.dice,
+        near: near.map(|hits| hits.within(near_radii)),
+    }
+}
+
+/// Light of `lighting` found anew at hits, on the sides that have surfels: once reflected. `None` where a few rays can't
+/// light a place.
+pub(super) fn relight<'a>(
+    baked: &'a Baked,
     world: &'a World<'_>,
     lighting: &'a Lighting,
-    dice: &'a DiceMap,
 ) -> Option<HitLight<'a>> {
-    HitLight::new(world.shader, &world.tracer, lighting, dice)
+    HitLight::new(world.shader, &world.tracer, lighting, &baked.dice)
 }
 
 /// Compute `aovs` at `receivers`.
@@ -149,6 +174,8 @@ const PAPER_REFERENCE_COST: u32 = 4;
 pub(super) struct Stand<'a> {
     world: &'a World<'a>,
     light: &'a Light,
+    /// Surfels only tell which sides reflect.
+    at_hits: bool,
     /// Of each AOV, or nothing.
     pub(super) surfel_errors: &'a [f64],
     source: Option<RadianceSource<'a>>,
@@ -170,8 +197,12 @@ impl<'a> Stand<'a> {
         Self {
             world,
             light: &lit.light,
+            at_hits: lit.relit == Relit::All,
             surfel_errors: &lit.errors,
-            source: lit.light.source(world, job.bounces),
+            source: match lit.relit {
+                Relit::All => lit.light.at_hits(world, &world.lighting),
+                Relit::Near(radii) => lit.light.source(world, (job.bounces, radii)),
+            },
             octree: OnceCell::new(),
             maps_plan: OnceCell::new(),
             receivers,
@@ -211,14 +242,10 @@ impl<'a> Stand<'a> {
         lighting: &'s Lighting,
         settings: RaysSettings,
     ) -> Option<RaysEngine<'s>> {
-        let Light::Baked(baked) = self.light else {
-            return None;
-        };
-        let hits = (self.job.bounces == 1)
-            .then(|| hit_light(self.world, lighting, &baked.dice))
+        let source = (self.job.bounces == 1)
+            .then(|| self.light.at_hits(self.world, lighting))
             .flatten()?;
-        let source = Some(RadianceSource::AtHits(hits));
-        Some(RaysEngine::new(&self.world.tracer, source, settings))
+        Some(RaysEngine::new(&self.world.tracer, Some(source), settings))
     }
 
     /// The paper's engine with these knobs: solid angle and resolution. Builds the octree if nobody has.
@@ -249,9 +276,9 @@ impl<'a> Stand<'a> {
             .get_or_init(|| MapsPlan::new(self.world.scene()))
     }
 
-    /// Surfels, 0 where no light is asked for.
+    /// Surfels that tell light: 0 where none is asked for, or hits are lit anew.
     pub(super) fn surfel_count(&self) -> usize {
-        self.light.len()
+        if self.at_hits { 0 } else { self.light.len() }
     }
 
     /// The octree over all surfels, built when first asked for.

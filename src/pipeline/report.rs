@@ -1,6 +1,7 @@
 //! What a run did, as `--json` prints it (DESIGN: `surflux`, `command`, `usd`, `seconds`, `counts`, …).
 
 use super::choice::Choice;
+use super::spacing::Dicing;
 use crate::diagnostics::Warning;
 use crate::gather::ErrorEstimate;
 use crate::results::Aov;
@@ -107,9 +108,9 @@ pub struct Report {
     /// What the pilot chose for each set of AOVs: later frames keep it.
     #[serde(skip)]
     pub(super) choices: BTreeMap<Vec<Aov>, Choice>,
-    /// Surfels that a tolerance asked for, for each set of AOVs.
+    /// What a tolerance asked of surfels, for each set of AOVs.
     #[serde(skip)]
-    pub(super) surfels: BTreeMap<Vec<Aov>, usize>,
+    pub(super) dicings: BTreeMap<Vec<Aov>, Dicing>,
 }
 
 impl Report {
@@ -127,7 +128,7 @@ impl Report {
             outputs: Vec::new(),
             warnings: Vec::new(),
             choices: BTreeMap::new(),
-            surfels: BTreeMap::new(),
+            dicings: BTreeMap::new(),
         }
     }
 

@@ -1,26 +1,26 @@
 //! How finely surfaces are diced for a tolerance, and what error that leaves in reflected light.
 //!
 //! Every ray that meets a surfel reads one radiance for all of it, so reflected light errs by a part that more rays do
-//! not remove. Two clouds are gathered from at a few receivers by the same rays: what differs is the surfels' alone.
+//! not remove. How large it is a few receivers tell, by light found anew at what they see ([`hits`]), or where that
+//! takes too long, by clouds of two sizes ([`pairs`]).
+
+mod hits;
+mod pairs;
 
 use super::Error;
-use super::gather::{Light, bounce, dice, light, needs_surfels};
+use super::gather::{Light, bounce, light, needs_surfels};
 use super::job::{EngineChoice, GatherJob};
 use super::report::Report;
 use super::world::World;
-use crate::bake::{BakeSettings, Baked};
+use crate::bake::Baked;
 use crate::diagnostics::Diagnostics;
-use crate::gather::{self, GatherScene, RaysEngine, RaysSettings};
-use crate::pilot::error::{mean_magnitude, relative, rms_difference, values};
+use crate::gather::HitLight;
 use crate::pilot::picks;
 use crate::receivers::Receivers;
-use crate::results::{Aov, Results};
+use crate::results::Aov;
 
 /// Share of the tolerance that surfels may use up; rays have 80 % of it left.
 const SHARE: f64 = 0.6;
-
-/// Surfels of the first two clouds over those of a run without tolerance.
-const FIRST: [usize; 2] = [16, 4];
 
 /// Fewest surfels to aim at, and most: 16 million take about 1.5 GB.
 const FEWEST: usize = 4_000;
@@ -29,9 +29,6 @@ const MOST: usize = 4_000_000;
 /// Growth from one cloud to the next, at least and at most.
 const GROWTH: (f64, f64) = (4.0, 16.0);
 
-/// Rays at each of the few receivers: the same ones for all clouds, so that their own error cancels.
-const RAYS: u32 = 256;
-
 /// Power of the spacing that the error falls with.
 const LAW: f64 = 1.0;
 
@@ -39,14 +36,31 @@ const LAW: f64 = 1.0;
 /// surfaces, thinner than any surfel would be. Four times the surfels take a fifth off the error then.
 const STALLED: f64 = 0.3;
 
-/// Clouds whose spacings differ by less than this cannot judge each other.
-const LEAST_RATIO: f64 = 1.25;
+/// Which hits are lit anew, rather than read from surfels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Relit {
+    /// Those nearer than so many radii of their surfel.
+    Near(f32),
+    /// All: surfels only tell which sides reflect.
+    All,
+}
+
+impl Relit {
+    /// As reports tell it: radii, or `all`.
+    fn name(self) -> serde_json::Value {
+        match self {
+            Self::Near(radii) => f64::from(radii).into(),
+            Self::All => "all".into(),
+        }
+    }
+}
 
 /// Surfels, and the error they leave.
 pub(super) struct Lit {
     pub(super) light: Light,
     /// Relative RMSE of each AOV, in order; empty where it was not measured.
     pub(super) errors: Vec<f64>,
+    pub(super) relit: Relit,
 }
 
 impl From<Light> for Lit {
@@ -54,8 +68,24 @@ impl From<Light> for Lit {
         Self {
             light,
             errors: Vec::new(),
+            relit: Relit::Near(HitLight::NEAR_RADII),
         }
     }
+}
+
+/// What was found to meet a tolerance, to be kept for all frames.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Dicing {
+    surfels: usize,
+    relit: Relit,
+}
+
+/// A cloud that is fine enough, or as fine as it gets.
+struct Climbed {
+    baked: Baked,
+    /// See [`Lit`].
+    errors: Vec<f64>,
+    relit: Relit,
 }
 
 /// The surfels `aovs` need, as many as the tolerance asks for, if there is one.
@@ -73,156 +103,77 @@ pub(super) fn lit(
     if !needs_surfels(world, aovs, job) {
         return Ok(Light::None.into());
     }
-    if let Some(&surfels) = report.surfels.get(aovs) {
+    if let Some(&dicing) = report.dicings.get(aovs) {
         // The same at every frame: results then differ only where the scene does.
         let again = GatherJob {
-            surfels: Some(surfels),
+            surfels: Some(dicing.surfels),
             ..job.clone()
         };
-        return Ok(light(world, receivers, aovs, &again, (report, diagnostics))?.into());
+        return Ok(Lit {
+            relit: dicing.relit,
+            ..light(world, receivers, aovs, &again, (report, diagnostics))?.into()
+        });
     }
     let few = picks(receivers.len());
     let few: Vec<usize> = few.into_iter().step_by(2).collect();
     let ladder = Ladder {
         world,
+        receivers: receivers.len(),
         few: &receivers.subset(&few),
         aovs,
         job,
+        tolerance,
         allowed: SHARE * tolerance,
     };
-    let (baked, errors) = ladder.climb(receivers.len(), (&mut *report, diagnostics))?;
+    let climbed = if world.lighting.has_emitters() {
+        ladder.climb_by_pairs((&mut *report, diagnostics))?
+    } else {
+        ladder.climb_by_hits((&mut *report, diagnostics))?
+    };
     if job.spacing.is_none() {
-        let surfels = job.surfels.unwrap_or(baked.cloud.len());
-        report.surfels.insert(aovs.to_vec(), surfels);
+        let dicing = Dicing {
+            surfels: job.surfels.unwrap_or(climbed.baked.cloud.len()),
+            relit: climbed.relit,
+        };
+        report.dicings.insert(aovs.to_vec(), dicing);
     }
-    let light = bounce(world, baked, job, (report, diagnostics))?;
-    Ok(Lit { light, errors })
+    Ok(Lit {
+        light: bounce(world, climbed.baked, job, (report, diagnostics))?,
+        errors: climbed.errors,
+        relit: climbed.relit,
+    })
 }
 
 struct Ladder<'a> {
     world: &'a World<'a>,
+    /// How many the run has.
+    receivers: usize,
     few: &'a Receivers,
     aovs: &'a [Aov],
     job: &'a GatherJob,
+    tolerance: f64,
+    /// Part of the tolerance for surfels.
     allowed: f64,
 }
 
 impl Ladder<'_> {
-    /// Finer and finer clouds, until one is fine enough. What was asked for by name stays: a coarser cloud tells its
-    /// error.
-    fn climb(
-        &self,
-        receivers: usize,
-        (report, diagnostics): (&mut Report, &Diagnostics),
-    ) -> Result<(Baked, Vec<f64>), Error> {
-        let usual = self.job.bake_settings(receivers);
-        let is_fixed = self.job.surfels.is_some() || self.job.spacing.is_some();
-        let fewest = if is_fixed { 1 } else { FEWEST };
-        let coarsen = |settings: BakeSettings, by: usize| BakeSettings {
-            spacing: settings.spacing.map(|spacing| spacing * (by as f32).sqrt()),
-            surfels: (settings.surfels / by).max(fewest),
-        };
-        let [first, second] = if is_fixed { [4, 1] } else { FIRST };
-        let mut coarse = self.look(&coarsen(usual, first), (&mut *report, diagnostics))?;
-        let mut settings = coarsen(usual, second);
-        let mut before = None;
-        loop {
-            let fine = self.look(&settings, (&mut *report, diagnostics))?;
-            let errors = if is_fixed && !is_finer(&coarse, &fine) {
-                // Already as coarse as faces allow: a finer cloud tells the error.
-                let more = BakeSettings {
-                    spacing: settings.spacing.map(|spacing| 0.5 * spacing),
-                    surfels: 4 * fine.baked.cloud.len(),
-                };
-                let finer = self.look(&more, (&mut *report, diagnostics))?;
-                let ratio = ratio(&fine, &finer).powf(LAW);
-                let errors = self.errors(&fine, &finer).into_iter();
-                errors.map(|error| ratio * error).collect()
-            } else {
-                self.errors(&coarse, &fine)
-            };
-            let worst = errors.iter().copied().fold(0.0, f64::max) / self.allowed;
-            let count = fine.baked.cloud.len();
-            let is_stalled = before.is_some_and(|before| law((before, (count, worst))) < STALLED);
-            if worst <= 1.0 || is_fixed || is_stalled || count >= MOST {
-                report.set("spacing", f64::from(fine.baked.cloud.spacing));
-                report.set("surfel_error", worst * self.allowed);
-                return Ok((fine.baked, errors));
-            }
-            settings.surfels = more(count, worst);
-            before = Some((count, worst));
-            coarse = fine;
-        }
-    }
-
-    fn look(
-        &self,
-        settings: &BakeSettings,
-        (report, diagnostics): (&mut Report, &Diagnostics),
-    ) -> Result<Look, Error> {
-        let baked = dice(self.world, settings, (report, diagnostics))?;
-        let light = Light::Baked(Box::new(baked));
-        let rays = RaysSettings {
-            rays: RAYS,
-            max_distance: self.job.max_distance,
-            ..RaysSettings::default()
-        };
-        let engine = RaysEngine::new(&self.world.tracer, light.source(self.world, 1), rays);
-        let scene = GatherScene {
-            shader: self.world.shader,
-            tracer: &self.world.tracer,
-            lighting: Some(&self.world.lighting),
-        };
-        let aovs: Vec<Aov> = self.asked().collect();
-        let results = gather::gather(scene, &engine, self.few, &aovs, diagnostics)?;
-        drop(engine);
-        let Light::Baked(baked) = light else {
-            unreachable!("it was made so")
-        };
-        Ok(Look {
-            baked: *baked,
-            results,
-        })
+    /// True if the user said how finely to dice.
+    fn is_fixed(&self) -> bool {
+        self.job.surfels.is_some() || self.job.spacing.is_some()
     }
 
     fn asked(&self) -> impl Iterator<Item = Aov> {
         self.aovs.iter().copied().filter(|&aov| is_measured(aov))
     }
 
-    /// Relative error that the finer of two clouds leaves in each AOV.
-    fn errors(&self, coarse: &Look, fine: &Look) -> Vec<f64> {
-        let left = 1.0 / (ratio(coarse, fine).powf(LAW) - 1.0);
-        let of = |&aov: &Aov| {
-            let found = [coarse, fine].map(|look| values(&look.results, aov).unwrap_or_default());
-            let mean = mean_magnitude(&found[1]);
-            if is_measured(aov) {
-                left * relative(rms_difference(&found[0], &found[1]), mean)
-            } else {
-                0.0
-            }
-        };
-        self.aovs.iter().map(of).collect()
+    /// The largest of `errors` over what is allowed.
+    fn worst(&self, errors: &[f64]) -> f64 {
+        errors.iter().copied().fold(0.0, f64::max) / self.allowed
     }
 }
 
 fn is_measured(aov: Aov) -> bool {
     aov.needs_indirect() && aov.error_of().is_none()
-}
-
-/// A cloud and what the few receivers see of it.
-struct Look {
-    baked: Baked,
-    results: Results,
-}
-
-/// Spacing of the coarse cloud over that of the fine one.
-fn ratio(coarse: &Look, fine: &Look) -> f64 {
-    let counts = [coarse, fine].map(|look| look.baked.cloud.len().max(1) as f64);
-    (counts[1] / counts[0]).sqrt().max(LEAST_RATIO)
-}
-
-fn is_finer(coarse: &Look, fine: &Look) -> bool {
-    ratio(coarse, fine) > LEAST_RATIO
 }
 
 /// Power of the spacing that errors fell with from one cloud to the next: surfels and error of each.

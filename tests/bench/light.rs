@@ -56,7 +56,7 @@ fn sky_at_receivers(bencher: Bencher<'_, '_>) {
         let bencher = bencher.take().expect("called once");
         bencher
             .counter(ItemsCount::new(points.len()))
-            .bench_local(|| lighting.environment_of(tracer, points));
+            .bench_local(|| lighting.environment_of(tracer, points, f32::INFINITY));
     });
 }
 

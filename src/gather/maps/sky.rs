@@ -30,6 +30,8 @@ pub struct MapsSky {
     directions: Vec<Vec3>,
     /// Even cells: along the first axis, against it, along the second …
     set: EnvironmentSet,
+    /// Nothing beyond hides the sky.
+    reach: f32,
 }
 
 impl MapsSky {
@@ -40,6 +42,7 @@ impl MapsSky {
         Self {
             set: lighting.environment_along(&both, BRIGHT_SHARE),
             directions,
+            reach: settings.max_distance.unwrap_or(f32::INFINITY),
         }
     }
 
@@ -96,7 +99,7 @@ impl MapsSky {
                 .map(|&i| point(scene, receivers, i))
                 .collect();
             phase.advance(block.len() as u64);
-            Ok(self.set.importance_light(tracer, &points))
+            Ok(self.set.importance_light(tracer, &points, self.reach))
         };
         let blocks: Result<Vec<_>, Cancelled> = order.par_chunks(BLOCK).map(block).collect();
         let mut light = vec![SkyLight::default(); count];

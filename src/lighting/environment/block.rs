@@ -22,9 +22,17 @@ pub struct SkyLight {
 
 impl EnvironmentSet {
     /// Light from [`Self::importance`] alone at each of `points`: for engines that see the even part in another way.
-    /// Faster where neighbors follow each other. Black under an even sky, which has no such part.
-    pub fn importance_light(&self, tracer: &Tracer, points: &[ShadePoint]) -> Vec<SkyLight> {
-        in_blocks(tracer, points, |stands| light(self.importance(), stands))
+    /// Nothing beyond `reach` hides it. Faster where neighbors follow each other. Black under an even sky, which has no
+    /// such part.
+    pub fn importance_light(
+        &self,
+        tracer: &Tracer,
+        points: &[ShadePoint],
+        reach: f32,
+    ) -> Vec<SkyLight> {
+        in_blocks(tracer, (points, reach), |stands| {
+            light(self.importance(), stands)
+        })
     }
 }
 
@@ -116,7 +124,7 @@ impl Packet {
         }
         let all = u64::MAX >> (MOST - count);
         let blocked =
-            (first.tracer).occluded_along(cell.direction(), &self.origins, f32::INFINITY, all);
+            (first.tracer).occluded_along(cell.direction(), &self.origins, first.reach, all);
         for (k, &(i, irradiance)) in self.waiting.iter().enumerate() {
             if blocked >> k & 1 == 0 {
                 sums[i].add(irradiance, cell.direction());
