@@ -323,7 +323,7 @@ class Evaluation:
             face = points[list(indices[at : at + count])]
             area += 0.5 * np.linalg.norm(np.cross(face[1:-1] - face[0], face[2:] - face[0]), axis=1).sum()
             at += count
-        return {"area": float(area), "sync": str(UsdLux.MeshLightAPI(prim).GetMaterialSyncModeAttr().Get(self.time))}
+        return {"area": float(area), "sync": str(prim.GetAttribute("light:materialSyncMode").Get(self.time))}
 
     @staticmethod
     def is_linked(prim, name):
