@@ -20,7 +20,7 @@ pub use choose::{choose, picks};
 pub use crowd::crowd;
 pub use light::LightScenes;
 pub use question::{Maps, Outcome, Pilot, Trial};
-pub use sky::knobs as maps_knobs;
+pub use sky::{finest as finest_maps, knobs as maps_knobs};
 
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::maps::MapsSettings;

@@ -24,6 +24,17 @@ const DETAILS: [(f32, f32, f32); 4] = [
     (0.5, 0.0, 0.5),
 ];
 
+/// `settings` with the finest detail that is tried; `None` if they have it already.
+pub fn finest(settings: &MapsSettings) -> Option<MapsSettings> {
+    let (pixel, cell, bias) = DETAILS[DETAILS.len() - 1];
+    (settings.pixel > pixel).then_some(MapsSettings {
+        pixel,
+        cell,
+        bias,
+        ..*settings
+    })
+}
+
 /// Directions of a trial over those of the run, at least and at most so many.
 const TRIAL_SHARE: f64 = 0.125;
 const TRIAL_DIRECTIONS: (f64, f64) = (16.0, 64.0);
@@ -41,8 +52,9 @@ const OWN_SHARE: f64 = 0.6;
 
 /// Maps for less than this share of what others cost are worth a try beyond [`OWN_SHARE`] too: the run looks back at
 /// what came of it, and turns to the others if it has to. On the bunny of `tests/bench/make_scenes.py` at 2 % maps were
-/// foretold 1.8 % at a twentieth of the rays' cost, and held it, though nearly all of it was their own.
-const TRY_SHARE: f64 = 0.2;
+/// foretold 1.8 % at a twentieth of the rays' cost, and held it, though nearly all of it was their own; on its teapots at
+/// a quarter.
+const TRY_SHARE: f64 = 0.35;
 
 /// Receivers nearer to a corner or edge than this in barycentric weight have no plane of their own: as rays have it.
 const RIM: f32 = 1e-4;

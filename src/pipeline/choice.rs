@@ -3,7 +3,7 @@
 use super::Error;
 use super::gather::Stand;
 use super::job::{EngineChoice, GatherJob};
-use super::maps::{MapsKnobs, Promise};
+use super::maps::{MapsKnobs, MapsMethod, Promise};
 use super::report::{Report, timed};
 use super::world::World;
 use crate::diagnostics::Diagnostics;
@@ -75,17 +75,20 @@ impl Choice {
         }
     }
 
-    /// Let rays see for maps at the frames to come, as they had to at this one: what engines differ by would be seen as a
-    /// change of the scene.
-    pub(super) fn keep_from_maps(self, aovs: &[Aov], report: &mut Report) {
+    /// Let finer maps, or rays, see for those chosen at the frames to come too, if they had to at this one: what engines
+    /// differ by would be seen as a change of the scene.
+    pub(super) fn keep(self, method: &MapsMethod<'_>, aovs: &[Aov], report: &mut Report) {
         if let Chosen::Maps(knobs) = self.engine {
             let engine = Chosen::Maps(MapsKnobs {
-                is_broken: true,
+                settings: method.settings(),
+                is_broken: method.is_redone(),
                 ..knobs
             });
-            report
-                .choices
-                .insert(aovs.to_vec(), Self { engine, ..self });
+            if engine != self.engine {
+                report
+                    .choices
+                    .insert(aovs.to_vec(), Self { engine, ..self });
+            }
         }
     }
 

@@ -156,9 +156,7 @@ pub(super) fn gather(
             let results = see(&stand, scene, ("maps", &method, reference), run)?;
             method.record(&stand, report);
             found.look_back(&results, report);
-            if method.is_redone() {
-                found.choice.keep_from_maps(aovs, report);
-            }
+            found.choice.keep(&method, aovs, report);
             results
         }
     };

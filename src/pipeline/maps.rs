@@ -10,6 +10,7 @@ use crate::pilot::{self, Check, Knobs, Method};
 use crate::receivers::Receivers;
 use crate::results::{Aov, AovBuffer, Results};
 use serde_json::json;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Rays that judge maps where no pilot has: at 1 % error of maps, theirs is at most a third.
@@ -41,6 +42,8 @@ pub(super) struct MapsMethod<'a> {
     handed_over_count: AtomicUsize,
     others: RaysEngine<'a>,
     promise: Option<Promise>,
+    /// Settings of the maps that kept their promise, if these are not the ones that were asked for.
+    finer: OnceLock<MapsSettings>,
     is_redone: AtomicBool,
 }
 
@@ -52,8 +55,8 @@ pub(super) struct Promise {
 }
 
 impl<'a> MapsMethod<'a> {
-    /// With a promise, rays compute again what maps computed where these break it; receivers are then those of the
-    /// whole run.
+    /// With a promise, the finest maps and then rays compute again what maps computed where these break it; receivers are
+    /// then those of the whole run.
     pub(super) fn new(
         (plan, knobs): (&'a MapsPlan<'a>, &MapsKnobs),
         handed_over: RaysEngine<'a>,
@@ -67,8 +70,14 @@ impl<'a> MapsMethod<'a> {
             handed_over_count: AtomicUsize::new(0),
             others,
             promise,
+            finer: OnceLock::new(),
             is_redone: AtomicBool::new(knobs.is_broken),
         }
+    }
+
+    /// How what was seen was drawn.
+    pub(super) fn settings(&self) -> MapsSettings {
+        self.finer.get().copied().unwrap_or(self.settings)
     }
 
     /// True if maps have broken their promise.
@@ -86,9 +95,10 @@ impl<'a> MapsMethod<'a> {
         let asked = stand.aovs.iter().filter(|aov| aov.needs_hemisphere());
         let engines: serde_json::Map<_, _> = asked.map(|&aov| engine(aov)).collect();
         report.set("engines", engines);
-        report.set("directions", self.settings.directions);
-        report.set("map_pixel", f64::from(self.settings.pixel));
-        report.set("map_cell", f64::from(self.settings.cell));
+        let settings = self.settings();
+        report.set("directions", settings.directions);
+        report.set("map_pixel", f64::from(settings.pixel));
+        report.set("map_cell", f64::from(settings.cell));
         let count = self.handed_over_count.load(Ordering::Relaxed);
         let share = count as f64 / stand.receivers.len().max(1) as f64;
         report.set("handed_over", json!({ "count": count, "share": share }));
@@ -104,30 +114,54 @@ impl<'a> MapsMethod<'a> {
         if self.is_redone() {
             return gather::gather(scene, &self.handed_over, receivers, aovs, diagnostics);
         }
+        let seen = self.drawn(scene, (receivers, aovs), &self.settings, diagnostics)?;
+        if self.keeps_promise(&seen) {
+            return Ok(seen);
+        }
+        if let Some(finest) = pilot::finest_maps(&self.settings) {
+            // Much cheaper than rays, or maps would not have been taken.
+            let seen = self.drawn(scene, (receivers, aovs), &finest, diagnostics)?;
+            if self.keeps_promise(&seen) {
+                self.finer.get_or_init(|| finest);
+                return Ok(seen);
+            }
+        }
+        self.is_redone.store(true, Ordering::Relaxed);
+        gather::gather(scene, &self.handed_over, receivers, aovs, diagnostics)
+    }
+
+    /// By maps, and rays for receivers that these cannot judge.
+    fn drawn(
+        &self,
+        scene: GatherScene<'_>,
+        (receivers, aovs): (&Receivers, &[Aov]),
+        settings: &MapsSettings,
+        diagnostics: &Diagnostics,
+    ) -> Result<Results, Cancelled> {
         let mut count = 0;
         let mut by_rays = |few: &Receivers, aovs: &[Aov]| {
             count += few.len();
             gather::gather(scene, &self.handed_over, few, aovs, diagnostics)
         };
         let seen = maps::gather_sky(
-            (self.plan, &self.settings),
+            (self.plan, settings),
             scene.lighting,
             (receivers, aovs),
             (&mut by_rays, &|| scene.tracer),
             diagnostics,
         )?;
         self.handed_over_count.store(count, Ordering::Relaxed);
+        Ok(seen)
+    }
+
+    fn keeps_promise(&self, seen: &Results) -> bool {
         let keeps = |promise: &Promise| {
-            let errors = promise.check.errors(&seen);
+            let errors = promise.check.errors(seen);
             errors
                 .iter()
                 .all(|error| error.relative_rmse <= promise.tolerance)
         };
-        if self.promise.as_ref().is_none_or(keeps) {
-            return Ok(seen);
-        }
-        self.is_redone.store(true, Ordering::Relaxed);
-        gather::gather(scene, &self.handed_over, receivers, aovs, diagnostics)
+        self.promise.as_ref().is_none_or(keeps)
     }
 }
 
