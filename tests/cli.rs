@@ -230,6 +230,70 @@ fn a_dry_run_lists_outputs_and_writes_nothing() {
 }
 
 #[test]
+fn a_bake_of_a_variant_with_unloaded_payloads_selects_that_variant() {
+    let mesh = |height: u8| {
+        format!(
+            "def Mesh \"m\" {{ point3f[] points = [(0,0,0),(1,0,0),(1,1,{height}),(0,1,0)]
+{QUAD}int[] faceVertexIndices = [0,1,2,3]
+}}\n"
+        )
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let stage = folder.path().join("car.usda");
+    let text = format!(
+        "#usda 1.0
+def Xform \"Car\" ( variants = {{
+        string shape = \"short\"
+    }}
+    prepend variantSets = \"shape\" ) {{
+    variantSet \"shape\" = {{
+        \"short\" {{ {} }}
+        \"tall\" {{ {} }}
+    }}
+}}
+def Xform \"heavy\" ( payload = @gone.usda@ ) {{ }}",
+        mesh(1),
+        mesh(5)
+    );
+    fs::write(&stage, text).unwrap();
+    let out = folder.path().join("out.usdc");
+    let result = run(&[
+        "bake",
+        stage.to_str().unwrap(),
+        "-o",
+        out.to_str().unwrap(),
+        "--aov",
+        "occlusion",
+        "--rays",
+        "16",
+        "--usd",
+        "native",
+        "--load",
+        "none",
+        "--variant",
+        "/Car{shape=tall}",
+    ]);
+    assert!(result.status.success(), "{}", stderr(&result));
+    let told = stderr(&result);
+    assert!(
+        told.contains("payloads of 1 prims") && told.contains("/heavy"),
+        "{told}"
+    );
+    let baked = fs::read_to_string(folder.path().join("out_baked.usda")).unwrap();
+    assert!(baked.contains("\"shape\" = \"tall\""), "{baked}");
+    let wrong = run(&[
+        "info",
+        stage.to_str().unwrap(),
+        "--usd",
+        "native",
+        "--variant",
+        "/Car{shape=round}",
+    ]);
+    assert_eq!(wrong.status.code(), Some(1));
+    assert!(stderr(&wrong).contains("short, tall"), "{}", stderr(&wrong));
+}
+
+#[test]
 fn no_clobber_keeps_an_existing_file() {
     let folder = tempfile::tempdir().unwrap();
     let cloud = folder.path().join("cloud.usdc");
@@ -253,6 +317,8 @@ fn usage_errors_exit_with_two() {
         &["bake", ROOM, "-o", "x.png"],
         &["render", ROOM, "-o", "x.exr", "--frames", "1:2"],
         &["render", ROOM, "-o", "x.exr", "--frames", "abc"],
+        &["info", ROOM, "--variant", "Car{shape=tall}"],
+        &["info", ROOM, "--load", "some"],
         &["paint", ROOM],
     ] {
         let result = run(args);

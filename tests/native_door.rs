@@ -13,6 +13,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use surflux::diagnostics::Diagnostics;
+use surflux::stage::Composition;
 use surflux::stage::native::NativeSource;
 use surflux::stage::raw::{RawAttribute, RawPrim, RawStage, Request, Value};
 use surflux::stage::{Error, Source};
@@ -47,6 +48,7 @@ impl Case {
             time: self.time,
             mask: self.mask.clone(),
             attributes: vec!["*".to_owned()],
+            composition: Composition::default(),
             values_not_needed: Vec::new(),
         }
     }
@@ -1262,6 +1264,22 @@ fn truncated_files_are_errors() {
     for length in (0..RICH.len()).step_by(7) {
         survive(folder.path(), "cut.usda", &RICH.as_bytes()[..length]);
     }
+}
+
+/// Before version 0.4 tables were not compressed; the crate does not read those.
+#[test]
+fn old_binary_layers_are_refused_with_the_way_out() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("old.usdc");
+    let mut bytes = binary(RICH);
+    bytes[8..11].copy_from_slice(&[0, 3, 0]);
+    std::fs::write(&path, bytes).expect("a file");
+    let refused = native(&Case::new(&path, None), &Diagnostics::default());
+    let message = refused.expect_err("too old").to_string();
+    assert!(
+        message.contains("old.usdc") && message.contains("--usd usd-core"),
+        "{message}"
+    );
 }
 
 #[test]

@@ -37,6 +37,7 @@ fn stage_info(path: &Path) -> StageInfo {
         time_codes_per_second: 25.0,
         time: None,
         layers: Vec::new(),
+        variants: Vec::new(),
         reader: "usd-core".to_owned(),
     }
 }

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 use surflux::diagnostics::{CancelToken, Diagnostics, Silent};
+use surflux::stage::Composition;
 use surflux::stage::raw::{RawPrim, RawStage, Request, Value};
 use surflux::stage::worker::WorkerSource;
 use surflux::stage::{Error, Source};
@@ -54,6 +55,7 @@ fn everything(time: Option<f64>) -> Request {
         time,
         mask: Vec::new(),
         attributes: vec!["*".to_owned()],
+        composition: Composition::default(),
         values_not_needed: Vec::new(),
     }
 }
@@ -433,6 +435,7 @@ fn only_what_the_request_wants_is_read() {
         time: None,
         mask: Vec::new(),
         attributes: vec!["primvars:*".to_owned(), "size".to_owned()],
+        composition: Composition::default(),
         values_not_needed: vec!["primvars:b".to_owned()],
     };
     let (stage, _) = files.load("r.usda", &request);

@@ -87,6 +87,7 @@ fn scene(meshes: Vec<(Mesh, Affine3A)>) -> Scene {
             time_codes_per_second: 24.0,
             time: None,
             layers: vec![],
+            variants: Vec::new(),
             reader: "native".into(),
         },
         origin: DVec3::ZERO,

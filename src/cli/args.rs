@@ -2,6 +2,7 @@
 
 use super::frames::Frames;
 use super::progress::ProgressMode;
+use crate::stage::VariantChoice;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -55,6 +56,23 @@ pub(super) struct StageArgs {
     /// Only these prims, what is below and what is above them.
     #[arg(long, value_name = "PATHS", value_delimiter = ',')]
     pub(super) mask: Vec<String>,
+    /// Payloads: bring in all, or none.
+    #[arg(long, value_enum, default_value_t = LoadName::All)]
+    pub(super) load: LoadName,
+    /// Choose a variant, stronger than what the stage says; many times.
+    #[arg(long, value_name = "/PRIM{SET=CHOICE}")]
+    pub(super) variant: Vec<VariantChoice>,
+    /// A layer stronger than the stage, as usdview has it.
+    #[arg(
+        long,
+        visible_alias = "session",
+        alias = "sessionLayer",
+        value_name = "LAYER"
+    )]
+    pub(super) session_layer: Option<PathBuf>,
+    /// Compose without this layer (as a subLayers list names it, or absolute); many times.
+    #[arg(long, alias = "muteLayer", value_name = "ID")]
+    pub(super) mute_layer: Vec<String>,
     /// Purposes to include besides default.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "render")]
     pub(super) purposes: Vec<PurposeName>,
@@ -244,6 +262,12 @@ pub(super) enum UsdDoor {
     Auto,
     Native,
     UsdCore,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum LoadName {
+    All,
+    None,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -2,7 +2,8 @@
 
 use super::args::{
     BakeArgs, Cli, Command, EngineName, ExrLayout, GatherArgs, InstancesName, InterpolationName,
-    OutputArgs, PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
+    LoadName, OutputArgs, PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor,
+    VerifyArgs,
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
@@ -11,7 +12,7 @@ use crate::pipeline::{
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
-use crate::stage::Door;
+use crate::stage::{Composition, Door, Load};
 use crate::writers::usd::layer::InstancePolicy;
 use anyhow::{Context, bail};
 use std::path::Path;
@@ -54,6 +55,15 @@ fn stage(args: StageArgs, command_line: &[String]) -> anyhow::Result<StageJob> {
         frames: args.frames.map(|frames| frames.0).unwrap_or_default(),
         dome: args.dome.map(dome).transpose()?,
         mask: args.mask,
+        composition: Composition {
+            load: match args.load {
+                LoadName::All => Load::All,
+                LoadName::None => Load::None,
+            },
+            variants: args.variant,
+            session_layer: args.session_layer,
+            muted_layers: args.mute_layer,
+        },
         purposes: args.purposes.into_iter().map(purpose).collect(),
         command: command_line.to_vec(),
     })

@@ -4,7 +4,7 @@ use crate::bake::BakeSettings;
 use crate::gather::maps::MapsSettings;
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
-use crate::stage::Door;
+use crate::stage::{Composition, Door};
 use std::path::PathBuf;
 
 /// What all jobs say about their stage.
@@ -20,6 +20,8 @@ pub struct StageJob {
     pub dome: Option<Dome>,
     /// Population mask.
     pub mask: Vec<String>,
+    /// Payloads, variants, session and muted layers.
+    pub composition: Composition,
     /// Purposes besides `default`.
     pub purposes: Vec<Purpose>,
     /// The command line, stored in outputs and statistics.

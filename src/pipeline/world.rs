@@ -45,6 +45,7 @@ pub(super) fn read_settings(job: &StageJob, time: Option<f64>, needs: Needs) -> 
         time,
         purposes: job.purposes.clone(),
         mask: job.mask.clone(),
+        composition: job.composition.clone(),
         materials: needs.materials,
         lights: needs.lights,
         ..ReadSettings::default()

@@ -25,6 +25,7 @@ pub(super) fn scene_of(meshes: Vec<(Mesh, Affine3A)>) -> Scene {
             time_codes_per_second: 24.0,
             time: None,
             layers: vec![],
+            variants: Vec::new(),
             reader: "native".into(),
         },
         origin: DVec3::ZERO,

@@ -62,6 +62,8 @@ pub struct StageInfo {
     pub time: Option<f64>,
     /// Identifiers of all layers used.
     pub layers: Vec<String>,
+    /// Variants that the user chose over the stage's own: prim path, set, variant.
+    pub variants: Vec<[String; 3]>,
     /// `native` or `usd-core`.
     pub reader: String,
 }

@@ -194,6 +194,7 @@ mod tests {
                 time_codes_per_second: 24.0,
                 time: None,
                 layers: Vec::new(),
+                variants: Vec::new(),
                 reader: String::new(),
             },
             origin: DVec3::ZERO,

@@ -2,11 +2,14 @@
 //! [`raw::RawStage`] of composed prims and resolved values, then the same passes for both.
 
 pub mod cloud;
+mod composition;
 pub mod materialx;
 pub mod native;
 pub mod passes;
 pub mod raw;
 pub mod worker;
+
+pub use composition::{Composition, Load, VariantChoice};
 
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::scene::Scene;
@@ -115,6 +118,8 @@ pub struct ReadSettings {
     pub purposes: Vec<crate::scene::Purpose>,
     /// Only these prims and what is below them (and their ancestors); empty = everything.
     pub mask: Vec<String>,
+    /// Payloads, variants, session and muted layers.
+    pub composition: Composition,
     /// Materials, displayColor and the primvars they read.
     pub materials: bool,
     /// Lights.
@@ -129,6 +134,7 @@ impl Default for ReadSettings {
             time: None,
             purposes: vec![crate::scene::Purpose::Render],
             mask: Vec::new(),
+            composition: Composition::default(),
             materials: true,
             lights: true,
             refine_edge: None,

@@ -1,7 +1,7 @@
 //! What both doors deliver: composed prims with authored, value-resolved attributes. No schema knowledge here:
 //! fallbacks, inheritance and meaning are the passes' business, once for both doors.
 
-use super::ReadSettings;
+use super::{Composition, ReadSettings};
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
 use std::collections::BTreeMap;
 
@@ -12,6 +12,8 @@ pub struct Request {
     pub time: Option<f64>,
     /// Population mask paths; empty = everything.
     pub mask: Vec<String>,
+    /// Payloads, variants, session and muted layers.
+    pub composition: Composition,
     /// Attribute names wanted. A trailing `*` matches any rest.
     pub attributes: Vec<String>,
     /// Attributes whose names match one of these are listed (name, type, connections, metadata) but their values
@@ -38,7 +40,7 @@ const SKELETAL: [&str; 14] = [
 ];
 
 /// Attributes of geometry, cameras and render settings, which every job needs.
-const ALWAYS: [&str; 63] = [
+const ALWAYS: [&str; 80] = [
     // Imageable, Xformable
     "visibility",
     "purpose",
@@ -63,6 +65,24 @@ const ALWAYS: [&str; 63] = [
     "creaseLengths",
     "creaseSharpnesses",
     "primvars:normals",
+    // BasisCurves, NurbsPatch
+    "curveVertexCounts",
+    "widths",
+    "primvars:widths",
+    "primvars:widths:indices",
+    "type",
+    "basis",
+    "wrap",
+    "pointWeights",
+    "uVertexCount",
+    "vVertexCount",
+    "uOrder",
+    "vOrder",
+    "uKnots",
+    "vKnots",
+    "uRange",
+    "vRange",
+    "trimCurve:counts",
     // implicit gprims
     "size",
     "radius",
@@ -148,12 +168,14 @@ impl Request {
                 "treatAsPoint",
                 "treatAsLine",
                 "poleAxis",
+                "light:materialSyncMode",
             ]);
             attributes.extend(OLD_LIGHT_INPUTS);
         }
         Self {
             time: settings.time,
             mask: settings.mask.clone(),
+            composition: settings.composition.clone(),
             attributes: attributes.into_iter().map(str::to_owned).collect(),
             values_not_needed: Vec::new(),
         }
@@ -193,6 +215,8 @@ pub struct RawMeta {
     pub render_settings_prim_path: Option<String>,
     /// Identifiers of all layers used, sorted.
     pub layers: Vec<String>,
+    /// Prims whose payloads are not loaded; neither they nor what is below them is among the stage's prims.
+    pub unloaded: Vec<String>,
     /// `native` or `usd-core`.
     pub reader: &'static str,
 }

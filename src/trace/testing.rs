@@ -71,6 +71,7 @@ pub(crate) fn scene(meshes: Vec<Mesh>, prims: &[(u32, Affine3A)]) -> Scene {
             time_codes_per_second: 24.0,
             time: None,
             layers: Vec::new(),
+            variants: Vec::new(),
             reader: "test".into(),
         },
         origin: DVec3::ZERO,

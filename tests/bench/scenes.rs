@@ -98,6 +98,7 @@ pub(crate) fn scene(meshes: Vec<Mesh>) -> Scene {
             time_codes_per_second: 24.0,
             time: None,
             layers: Vec::new(),
+            variants: Vec::new(),
             reader: "bench".into(),
         },
         origin: DVec3::ZERO,

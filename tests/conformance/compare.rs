@@ -1,14 +1,13 @@
 //! One scene against what usd-core computes of the stage.
 
+mod look;
+
 use crate::truth::{Truth, list, number};
-use glam::{DAffine3, DMat4, DVec3};
+use glam::{DMat4, DVec3};
 use serde_json::Value;
 use std::collections::HashMap;
 use surflux::diagnostics::Warning;
-use surflux::scene::camera::Projection;
-use surflux::scene::{
-    Camera, FaceMaterials, Interpolation, Light, LightKind, Mesh, Prim, Scene, UpAxis,
-};
+use surflux::scene::{FaceMaterials, Interpolation, Mesh, Prim, Scene, UpAxis};
 
 /// Part of the largest number beside it by which a number may be off: positions are `f32`, after one product of
 /// matrices and in the space of a mesh far from the origin 16 rounding errors of 6e-8.
@@ -17,6 +16,9 @@ const ROUNDING: f64 = 1e-6;
 /// Gprims are polyhedra inside their extents: this part of the size may be missing at a side (a polygon of 24 edges
 /// falls 1 − cos(π/24) short).
 const CHORD: f64 = 0.01;
+
+/// Prisms around curves stand out of the round tube by this part of what is around them at most.
+const PRISM: f64 = 0.05;
 
 /// What became of the values of a scene.
 #[derive(Debug, Default)]
@@ -134,6 +136,12 @@ impl Comparison<'_> {
             (self.scene.stage.up_axis == UpAxis::Z) == is_z,
         );
         let meters = number(&self.truth.index["meters"]);
+        let default_prim = self.scene.stage.default_prim.as_deref();
+        self.one(
+            "/",
+            "defaultPrim",
+            default_prim == self.truth.index["default"].as_str(),
+        );
         self.one(
             "/",
             "metersPerUnit",
@@ -172,6 +180,7 @@ impl Comparison<'_> {
         let mesh = self.scene.mesh_of(prim);
         if theirs["counts"].is_null() {
             self.extent(prim, theirs);
+            self.hull(prim, theirs);
             let material = self.material(prim, 0);
             self.bound(
                 path,
@@ -230,6 +239,39 @@ impl Comparison<'_> {
             .filter(|(a, b)| (*a - *b).abs() <= slack)
             .count();
         self.count(&prim.path, "extent", (agreeing, 6));
+    }
+
+    /// Curves and patches: inside the box of what they are made of.
+    fn hull(&mut self, prim: &Prim, theirs: &Value) {
+        if theirs["hull"].is_null() {
+            return;
+        }
+        let hull = list(&theirs["hull"]);
+        let rows: [f64; 16] = list(&theirs["matrix"]).try_into().expect("16 numbers");
+        let object_from_world = DMat4::from_cols_array(&rows).inverse();
+        let slack = PRISM * (largest(&hull) + ROUNDING);
+        let positions = &self.scene.mesh_of(prim).positions;
+        let is_inside = |&position: &glam::Vec3| {
+            let position = object_from_world.transform_point3(self.world(prim, position));
+            (0..3).all(|axis| {
+                let range = hull[axis] - slack..=hull[axis + 3] + slack;
+                range.contains(&position[axis])
+            })
+        };
+        let inside = positions
+            .iter()
+            .filter(|position| is_inside(position))
+            .count();
+        self.count(
+            &prim.path,
+            "positions inside the hull",
+            (inside, positions.len()),
+        );
+        self.one(
+            &prim.path,
+            "scheme",
+            self.scene.mesh_of(prim).scheme == text(&theirs["type"]),
+        );
     }
 
     fn topology(&mut self, path: &str, mesh: &Mesh, theirs: &Value) {
@@ -355,7 +397,9 @@ impl Comparison<'_> {
             FaceMaterials::Whole(material) => *material,
             per_face => per_face.of_face(face),
         };
-        id.map(|id| self.scene.materials[id.index()].path.clone())
+        let path = id.map(|id| self.scene.materials[id.index()].path.clone());
+        // of a mesh light that nothing is bound to
+        path.filter(|path| !path.is_empty())
     }
 
     fn materials(&mut self, prim: &Prim, theirs: &Value) {
@@ -400,181 +444,6 @@ impl Comparison<'_> {
             _ => found == expected[0].as_str(),
         };
         self.one(path, "material", is_equal);
-    }
-
-    fn lights(&mut self) {
-        let scene = self.scene;
-        let truth = self.truth;
-        for theirs in truth.index["lights"].as_array().expect("a list") {
-            let path = text(&theirs["path"]);
-            self.tally.prims += 1;
-            let found = scene.lights.iter().find(|light| light.path == path);
-            self.one(path, text(&theirs["type"]), found.is_some());
-            let linked = theirs["linked"]
-                .as_array()
-                .is_some_and(|links| !links.is_empty());
-            if linked {
-                self.one(path, "light linking", false);
-            }
-            let Some(light) = found else { continue };
-            if theirs["old"].as_bool() == Some(true) {
-                self.tally.unjudged += 1;
-                continue;
-            }
-            self.light(light, theirs);
-        }
-    }
-
-    fn light(&mut self, light: &Light, theirs: &Value) {
-        let path = light.path.as_str();
-        let radiance = light.radiance.as_dvec3().to_array();
-        self.numbers(path, "radiance", &radiance, &list(&theirs["radiance"]));
-        self.one(
-            path,
-            "normalize",
-            Some(light.normalize) == theirs["normalize"].as_bool(),
-        );
-        self.one(
-            path,
-            "shadow:enable",
-            Some(light.casts_shadows) == theirs["shadows"].as_bool(),
-        );
-        self.shape(light, theirs);
-        let shaping = light.shaping.map(|s| {
-            [
-                s.cone_angle,
-                s.cone_softness,
-                s.focus,
-                s.focus_tint.x,
-                s.focus_tint.y,
-                s.focus_tint.z,
-            ]
-            .map(f64::from)
-        });
-        match (shaping, theirs["shaping"].is_null()) {
-            (Some(found), false) => {
-                self.numbers(path, "shaping", &found, &list(&theirs["shaping"]));
-            }
-            (found, missing) => self.one(path, "shaping", found.is_none() == missing),
-        }
-        if let LightKind::Rect { texture, .. } | LightKind::Dome { texture } = &light.kind {
-            let real = texture
-                .as_ref()
-                .and_then(|path| std::fs::canonicalize(path).ok());
-            let real = real.map(|path| path.to_string_lossy().into_owned());
-            self.one(
-                path,
-                "texture",
-                real.as_deref() == theirs["texture"].as_str(),
-            );
-        }
-        let affine = light.world_from_light;
-        let mut matrix = DAffine3::from_mat4(glam::Mat4::from(affine).as_dmat4());
-        matrix.translation += self.scene.origin;
-        // a dome is turned so that its pole is the stage's up axis: only the tests of the look know how
-        if !matches!(light.kind, LightKind::Dome { .. }) {
-            self.matrix(path, matrix, &theirs["matrix"]);
-        }
-    }
-
-    fn shape(&mut self, light: &Light, theirs: &Value) {
-        let shape = |name: &str| number(&theirs["shape"][name]);
-        let (found, expected): (Vec<f32>, Vec<f64>) = match &light.kind {
-            LightKind::Distant { angle } => (vec![*angle], vec![shape("angle").to_radians()]),
-            LightKind::Sphere { radius, .. } | LightKind::Disk { radius } => {
-                (vec![*radius], vec![shape("radius")])
-            }
-            LightKind::Rect { width, height, .. } => {
-                (vec![*width, *height], vec![shape("width"), shape("height")])
-            }
-            LightKind::Cylinder { radius, length } => (
-                vec![*radius, *length],
-                vec![shape("radius"), shape("length")],
-            ),
-            LightKind::Dome { .. } => (vec![], vec![]),
-        };
-        let wide: Vec<f64> = found.into_iter().map(f64::from).collect();
-        self.numbers(&light.path, "shape", &wide, &expected);
-    }
-
-    fn matrix(&mut self, path: &str, found: DAffine3, expected: &Value) {
-        let found = DMat4::from(found).to_cols_array();
-        self.numbers(path, "world matrix", &found, &list(expected));
-    }
-
-    fn cameras(&mut self) {
-        let (scene, truth) = (self.scene, self.truth);
-        for theirs in truth.index["cameras"].as_array().expect("a list") {
-            let path = text(&theirs["path"]);
-            self.tally.prims += 1;
-            let found = scene.cameras.iter().find(|camera| camera.path == path);
-            self.one(path, "Camera", found.is_some());
-            if let Some(camera) = found {
-                self.camera(camera, theirs);
-            }
-        }
-    }
-
-    fn camera(&mut self, camera: &Camera, theirs: &Value) {
-        let path = camera.path.as_str();
-        self.matrix(path, camera.world_from_camera, &theirs["matrix"]);
-        let is_flat = text(&theirs["projection"]) == "orthographic";
-        self.one(
-            path,
-            "projection",
-            (camera.projection == Projection::Orthographic) == is_flat,
-        );
-        let (near, far) = camera.clipping_range;
-        let found = [
-            camera.horizontal_aperture,
-            camera.vertical_aperture,
-            camera.horizontal_aperture_offset,
-            camera.vertical_aperture_offset,
-            camera.focal_length,
-            near,
-            far,
-            camera.exposure,
-        ];
-        for (index, expected) in list(&theirs["lens"]).into_iter().enumerate() {
-            self.numbers(
-                path,
-                &format!("lens number {index}"),
-                &found[index..=index],
-                &[expected],
-            );
-        }
-    }
-
-    fn settings(&mut self) {
-        let (scene, truth) = (self.scene, self.truth);
-        for theirs in truth.index["settings"].as_array().expect("a list") {
-            let path = text(&theirs["path"]);
-            self.tally.prims += 1;
-            let found = scene
-                .render_settings
-                .iter()
-                .find(|settings| settings.path == path);
-            self.one(path, "RenderSettings", found.is_some());
-            let Some(ours) = found else { continue };
-            self.one(
-                path,
-                "camera",
-                ours.camera.as_deref() == theirs["camera"].as_str(),
-            );
-            let (width, height) = ours.resolution;
-            let found = [f64::from(width), f64::from(height)];
-            self.numbers(path, "resolution", &found, &list(&theirs["resolution"]));
-            let products: Vec<&str> = ours
-                .products
-                .iter()
-                .map(|product| product.path.as_str())
-                .collect();
-            self.one(
-                path,
-                "products",
-                serde_json::json!(products) == theirs["products"],
-            );
-        }
     }
 }
 

@@ -1,6 +1,6 @@
 """What Pixar's usd-core computes of a stage: the truth that tests/conformance compares scenes with.
 
-One JSON request a line on stdin, {"path", "time", "arrays"}; one JSON answer a line on stdout. Arrays lie in the file
+One JSON request a line on stdin, {"path", "time", "arrays", "unloaded", "variants", "session", "muted"}; one JSON answer a line on stdout. Arrays lie in the file
 `arrays` as little-endian doubles; an answer names them as [offset in doubles, count]. Written without a look at
 surflux's own worker, from the computing API of the schemas (ComputeVisibility, ComputeBoundMaterial, …).
 """
@@ -11,7 +11,7 @@ import os
 import sys
 
 import numpy as np
-from pxr import Gf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdSkel, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdSkel, Vt
 
 PRIMVARS = ("displayColor", "displayOpacity", "st")
 PURPOSES = ("default", "render")
@@ -133,10 +133,23 @@ class Evaluation:
         entry["material"], entry["dangling"] = self.bound(prim)
         if prim.IsA(UsdGeom.Mesh):
             self.mesh(UsdGeom.Mesh(prim), np.array(place), entry)
+        elif prim.IsA(UsdGeom.PointBased):
+            self.hull(UsdGeom.PointBased(prim), entry)
         else:
             extent = UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), self.time)
             entry["extent"] = numbers(np.array(extent, dtype=float).reshape(-1)) if extent else None
         return entry
+
+    def hull(self, prim, entry):
+        """Curves and patches: a box around their control points and half their largest width, which they are within."""
+        points = np.array(prim.GetPointsAttr().Get(self.time) or [], dtype=float).reshape(-1, 3)
+        entry["empty"] = not len(points)
+        if entry["empty"]:
+            return
+        widths = prim.GetPrim().GetAttribute("widths")
+        widths = (widths.Get(self.time) if widths else None) or [1.0 if prim.GetPrim().IsA(UsdGeom.Curves) else 0.0]
+        reach = max(widths) / 2
+        entry["hull"] = numbers([*(points.min(axis=0) - reach), *(points.max(axis=0) + reach)])
 
     def bound(self, prim):
         """Path of the bound material (and in its prototype, if it is below an instance), and that of a binding whose target is no material here."""
@@ -285,8 +298,32 @@ class Evaluation:
             "shaping": shaping and numbers(shaping),
             "shadows": bool(value(shadow.GetShadowEnableAttr())) if prim.HasAPI(UsdLux.ShadowAPI) else True,
             "linked": links,
+            "dome": self.dome(prim) if "Dome" in prim.GetTypeName() else None,
+            "mesh": self.mesh_light(prim) if prim.IsA(UsdGeom.Mesh) else None,
             "old": any(prim.GetAttribute(name).HasAuthoredValue() for name in plain if prim.HasAttribute(name)),
         }
+
+    def dome(self, prim):
+        """Matrix of the image, whose pole is +Y and whose middle is at +Z, and the format."""
+        world = self.xforms.GetLocalToWorldTransform(prim)
+        if prim.IsA(UsdLux.DomeLight_1):
+            pole = UsdLux.DomeLight_1(prim).GetPoleAxisAttr().Get(self.time)
+            if (str(UsdGeom.GetStageUpAxis(self.stage)) if pole == "scene" else pole) == "Z":
+                world = Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(1, 0, 0), 90)) * world
+        world.SetTranslateOnly((0, 0, 0))
+        return matrix(world)
+
+    def mesh_light(self, prim):
+        """World area of the polygons, and how the material takes part."""
+        mesh = UsdGeom.Mesh(prim)
+        place = np.array(self.xforms.GetLocalToWorldTransform(prim))
+        points = np.array(mesh.GetPointsAttr().Get(self.time), dtype=float) @ place[:3, :3]
+        indices, at, area = mesh.GetFaceVertexIndicesAttr().Get(self.time), 0, 0.0
+        for count in mesh.GetFaceVertexCountsAttr().Get(self.time):
+            face = points[list(indices[at : at + count])]
+            area += 0.5 * np.linalg.norm(np.cross(face[1:-1] - face[0], face[2:] - face[0]), axis=1).sum()
+            at += count
+        return {"area": float(area), "sync": str(prim.GetAttribute("light:materialSyncMode").Get(self.time))}
 
     @staticmethod
     def is_linked(prim, name):
@@ -321,14 +358,55 @@ class Evaluation:
                 settings = UsdRender.Settings(prim)
                 cameras = settings.GetCameraRel().GetForwardedTargets()
                 size = settings.GetResolutionAttr().Get()
-                products = [str(path) for path in settings.GetProductsRel().GetForwardedTargets()]
                 camera = str(cameras[0]) if cameras else None
-                found.append({"path": str(prim.GetPath()), "camera": camera, "resolution": list(size), "products": products})
+                entry = {"path": str(prim.GetPath()), "camera": camera, "resolution": list(size)}
+                entry["products"] = self.products(settings)
+                found.append(entry)
         return found
 
 
+    def products(self, settings):
+        found = []
+        for path in settings.GetProductsRel().GetForwardedTargets():
+            product = UsdRender.Product(self.stage.GetPrimAtPath(path))
+
+            def value(get):
+                own, shared = get(product), get(settings)
+                return (own if own.HasAuthoredValue() else shared).Get()
+
+            cameras = product.GetCameraRel().GetForwardedTargets() or settings.GetCameraRel().GetForwardedTargets()
+            rendered = [UsdRender.Var(self.stage.GetPrimAtPath(var)) for var in product.GetOrderedVarsRel().GetForwardedTargets()]
+            kinds = [(var.GetSourceNameAttr(), var.GetSourceTypeAttr(), var.GetDataTypeAttr()) for var in rendered]
+            found.append(
+                {
+                    "path": str(path),
+                    "name": str(product.GetProductNameAttr().Get()),
+                    "type": str(product.GetProductTypeAttr().Get()),
+                    "camera": str(cameras[0]) if cameras else None,
+                    "resolution": list(value(lambda base: base.GetResolutionAttr())),
+                    "policy": str(value(lambda base: base.GetAspectRatioConformPolicyAttr())),
+                    "window": numbers(value(lambda base: base.GetDataWindowNDCAttr())),
+                    "vars": [[str(attribute.Get()) for attribute in kind] for kind in kinds],
+                }
+            )
+        return found
+
+
+def opened(request):
+    load = Usd.Stage.LoadNone if request["unloaded"] else Usd.Stage.LoadAll
+    root, session = Sdf.Layer.FindOrOpen(request["path"]), request["session"]
+    session = Sdf.Layer.FindOrOpen(session) if session else Sdf.Layer.CreateAnonymous()
+    stage = Usd.Stage.Open(root, session, load)
+    for layer in request["muted"]:
+        stage.MuteLayer(layer)
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        for prim, name, choice in request["variants"]:
+            stage.OverridePrim(prim).GetVariantSet(name).SetVariantSelection(choice)
+    return stage
+
+
 def answer(request):
-    stage = Usd.Stage.Open(request["path"])
+    stage = opened(request)
     time = Usd.TimeCode.Default() if request["time"] is None else Usd.TimeCode(request["time"])
     arrays = Arrays(request["arrays"])
     result = Evaluation(stage, time, arrays).run()
@@ -336,6 +414,7 @@ def answer(request):
     result["range"] = [stage.GetStartTimeCode(), stage.GetEndTimeCode()] if stage.HasAuthoredTimeCodeRange() else None
     result["up"] = str(UsdGeom.GetStageUpAxis(stage))
     result["layers"] = [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath]
+    result["default"] = str(stage.GetRootLayer().defaultPrim) or None
     result["meters"] = float(UsdGeom.GetStageMetersPerUnit(stage))
     return result
 

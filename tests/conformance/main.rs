@@ -20,7 +20,6 @@ mod stages;
 mod compare;
 mod features;
 #[path = "../support/python.rs"]
-#[expect(dead_code, reason = "shared with tests that run scripts of their own")]
 mod python;
 mod truth;
 
@@ -30,14 +29,31 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use surflux::diagnostics::{Diagnostics, Warning};
 use surflux::scene::Scene;
-use surflux::stage::{self, Door, ReadSettings};
+use surflux::stage::{self, Composition, Door, ReadSettings};
 use truth::Evaluator;
 
+/// How a stage is to be read.
+#[derive(Debug, Clone, Default)]
+struct Reading {
+    time: Option<f64>,
+    composition: Composition,
+}
+
+impl From<Option<f64>> for Reading {
+    fn from(time: Option<f64>) -> Self {
+        Self {
+            time,
+            ..Self::default()
+        }
+    }
+}
+
 /// The scene that `door` makes of `path`, and its warnings; `Err` where the door refuses it.
-fn scene_of(path: &Path, door: Door, time: Option<f64>) -> Result<(Scene, Vec<Warning>), String> {
+fn scene_of(path: &Path, door: Door, reading: &Reading) -> Result<(Scene, Vec<Warning>), String> {
     let diagnostics = Diagnostics::default();
     let settings = ReadSettings {
-        time,
+        time: reading.time,
+        composition: reading.composition.clone(),
         // refined as little as possible: what is compared does not depend on it
         refine_edge: Some(f32::MAX),
         ..ReadSettings::default()
@@ -57,10 +73,10 @@ fn judge(
     evaluator: &mut Evaluator,
     path: &Path,
     door: Door,
-    time: Option<f64>,
+    reading: &Reading,
 ) -> Result<Tally, String> {
-    let (scene, warnings) = scene_of(path, door, time)?;
-    let truth = evaluator.evaluate(path, time);
+    let (scene, warnings) = scene_of(path, door, reading)?;
+    let truth = evaluator.evaluate(path, reading);
     let truth = truth.map_err(|problem| format!("usd-core: {problem}"))?;
     Ok(compare(&scene, &truth, &warnings))
 }
@@ -77,7 +93,7 @@ struct Candidate {
 
 impl Candidate {
     fn new(evaluator: &mut Evaluator, path: PathBuf) -> Self {
-        let truth = evaluator.evaluate(&path, None);
+        let truth = evaluator.evaluate(&path, &Reading::default());
         let index = truth.map(|truth| truth.index).unwrap_or_default();
         let names = index["layers"].as_array().into_iter().flatten();
         let layers = names
@@ -140,7 +156,7 @@ fn run_over(folder: &Path, door: Door) -> Sums {
         let name = path.strip_prefix(&real).unwrap_or(path).display();
         for time in [None].into_iter().chain(candidate.between_frames.map(Some)) {
             sums.stages += 1;
-            match judge(&mut evaluator, path, door, time) {
+            match judge(&mut evaluator, path, door, &time.into()) {
                 Ok(tally) => sums.add(tally, &format!("{name} at {time:?}")),
                 Err(refusal) => {
                     println!("{:>42}  {name}: {refusal}", "refused");

@@ -1,10 +1,12 @@
 //! The usd-core process that evaluates stages, and its answers.
 
+use crate::Reading;
 use crate::python::python;
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use surflux::stage::Load;
 
 const SCRIPT: &str = include_str!("evaluate_stage.py");
 
@@ -42,9 +44,20 @@ impl Evaluator {
     }
 
     /// `Err` with usd-core's message where it cannot open the stage.
-    pub(crate) fn evaluate(&mut self, stage: &Path, time: Option<f64>) -> Result<Truth, String> {
+    pub(crate) fn evaluate(&mut self, stage: &Path, reading: &Reading) -> Result<Truth, String> {
         let arrays = self.folder.path().join("arrays");
-        let request = serde_json::json!({ "path": stage, "time": time, "arrays": arrays });
+        let composition = &reading.composition;
+        let variants = composition.variants.iter();
+        let variants = variants.map(|choice| [&choice.prim, &choice.set, &choice.choice]);
+        let request = serde_json::json!({
+            "path": stage,
+            "time": reading.time,
+            "arrays": arrays,
+            "unloaded": composition.load == Load::None,
+            "variants": variants.collect::<Vec<_>>(),
+            "session": composition.session_layer,
+            "muted": composition.muted_layers,
+        });
         let input = self.input.as_mut().expect("open until dropped");
         writeln!(input, "{request}").expect("the evaluator listens");
         let mut line = String::new();

@@ -30,6 +30,7 @@ impl SceneBuilder {
                     time_codes_per_second: 24.0,
                     time: None,
                     layers: Vec::new(),
+                    variants: Vec::new(),
                     reader: "native".to_owned(),
                 },
                 origin: DVec3::ZERO,

@@ -77,7 +77,7 @@ fn mix(low: Value, high: &Value, alpha: f64, precision: Precision) -> Value {
             one(a.z, b.z),
             one(a.w, b.w),
         )),
-        (Value::Quat(a), Value::Quat(b)) => Value::Quat(rounded(slerp(*a, *b, alpha), precision)),
+        (Value::Quat(a), Value::Quat(b)) => Value::Quat(slerp(*a, *b, (alpha, precision))),
         (Value::Matrix(a), Value::Matrix(b)) => Value::Matrix(mix_matrix(a, b, alpha)),
         (Value::FloatArray(a), Value::FloatArray(b)) if a.len() == b.len() => {
             Value::FloatArray(zip(a, b, |a, b| two(*a, *b)))
@@ -100,9 +100,9 @@ fn mix(low: Value, high: &Value, alpha: f64, precision: Precision) -> Value {
                 let turned = slerp(
                     DQuat::from_vec4(a.as_dvec4()),
                     DQuat::from_vec4(b.as_dvec4()),
-                    alpha,
+                    (alpha, precision),
                 );
-                DVec4::from(rounded(turned, precision)).as_vec4()
+                DVec4::from(turned).as_vec4()
             }))
         }
         (Value::MatrixArray(a), Value::MatrixArray(b)) if a.len() == b.len() => {
@@ -120,26 +120,32 @@ fn mix_matrix(a: &DMat4, b: &DMat4, alpha: f64) -> DMat4 {
     *a * (1.0 - alpha) + *b * alpha
 }
 
-fn rounded(quat: DQuat, precision: Precision) -> DQuat {
-    let [x, y, z, w] = quat.to_array().map(|component| precision.round(component));
-    DQuat::from_xyzw(x, y, z, w)
-}
-
-/// Spherical interpolation along the shorter arc (`GfSlerp`); not normalised, like USD's.
-fn slerp(a: DQuat, b: DQuat, alpha: f64) -> DQuat {
-    let dot = a.dot(b);
+/// Spherical interpolation along the shorter arc (`GfSlerp`); not normalised, like USD's. Angle, weights,
+/// products and sums are rounded to the quaternions' own precision, which shows where that is half: so it agrees with
+/// usd-core 26.11 in all bits of 400 random pairs.
+fn slerp(a: DQuat, b: DQuat, (alpha, precision): (f64, Precision)) -> DQuat {
+    let imaginary = precision.round(a.x * b.x + a.y * b.y + a.z * b.z);
+    let dot = imaginary + a.w * b.w;
     let (cosine, sign) = if dot < 0.0 { (-dot, -1.0) } else { (dot, 1.0) };
     let (of_a, of_b) = if 1.0 - cosine > NEARLY_PARALLEL {
-        let angle = cosine.acos();
-        let scale = angle.sin().recip();
+        let angle = precision.round(cosine.acos());
+        let sine = precision.round(angle.sin());
         (
-            ((1.0 - alpha) * angle).sin() * scale,
-            (alpha * angle).sin() * scale,
+            ((1.0 - alpha) * angle).sin() / sine,
+            (alpha * angle).sin() / sine,
         )
     } else {
         (1.0 - alpha, alpha)
     };
-    a * of_a + b * (sign * of_b)
+    let (of_a, of_b) = (precision.round(of_a), precision.round(sign * of_b));
+    let mixed =
+        |a: f64, b: f64| precision.round(precision.round(a * of_a) + precision.round(b * of_b));
+    DQuat::from_xyzw(
+        mixed(a.x, b.x),
+        mixed(a.y, b.y),
+        mixed(a.z, b.z),
+        mixed(a.w, b.w),
+    )
 }
 
 #[cfg(test)]

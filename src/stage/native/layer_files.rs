@@ -36,6 +36,11 @@ pub(super) struct LayerFiles {
     last: RefCell<Option<(PathBuf, Option<Bytes>)>>,
 }
 
+/// Identifier of the session layer of a stage that has none of its own: no file has such a name.
+pub(super) const EMPTY_SESSION: &str = "/surflux:session.usda";
+
+const EMPTY_LAYER: &str = "#usda 1.0\n";
+
 /// A file's bytes, shared.
 #[derive(Clone)]
 struct Bytes(Arc<Vec<u8>>);
@@ -116,7 +121,8 @@ impl LayerFiles {
         }
     }
 
-    fn anchored(&self, asset: &str, anchor: Option<&str>) -> String {
+    /// Identifier of the layer that `asset` names in the layer `anchor`, or to a user.
+    pub(super) fn anchored(&self, asset: &str, anchor: Option<&str>) -> String {
         if let Some((outer, inner)) = ar::split_package_relative_path_outer(asset) {
             return ar::join_package_relative_path(&self.anchored(&outer, anchor), &inner);
         }
@@ -165,7 +171,10 @@ impl LayerFiles {
         existing.next()
     }
 
-    fn exists(&self, path: &str) -> bool {
+    pub(super) fn exists(&self, path: &str) -> bool {
+        if path == EMPTY_SESSION {
+            return true;
+        }
         if let Some((package, inner)) = ar::split_package_relative_path_outer(path) {
             let package = self.package(Path::new(&package));
             return package.is_some_and(|package| package.has(&inner));
@@ -220,6 +229,9 @@ impl LayerFiles {
     }
 
     fn read(&self, path: &str) -> io::Result<Vec<u8>> {
+        if path == EMPTY_SESSION {
+            return Ok(EMPTY_LAYER.into());
+        }
         let bytes = match ar::split_package_relative_path_outer(path) {
             Some((package, inner)) => Package::open(Path::new(&package))?.read(&inner)?,
             None => std::fs::read(path)?,

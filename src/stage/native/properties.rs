@@ -12,9 +12,10 @@ use crate::stage::raw::{
     MaterialxReference, RawAttribute, RawPrim, RawRelationship, Request, Value,
 };
 use openusd::pcp::{ArcType, LayerId, Node, PrimIndex};
-use openusd::sdf::{self, AbstractData, FieldKey, LayerOffset, SpecType};
+use openusd::sdf::{self, AbstractData, ChildrenKey, FieldKey, LayerOffset, SpecType};
 use openusd::usd::{Attribute, Stage, TimeCode};
 use std::cell::Ref;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Where a composed prim has opinions, strongest first.
 pub(super) struct Sites(Vec<Site>);
@@ -137,6 +138,29 @@ impl Sites {
         }
         let weakest_first = edits.iter().rev();
         Ok(weakest_first.fold(Vec::new(), |ids, edit| edit.compose_over(&ids)))
+    }
+
+    /// Variant sets of the prim, each with its variants.
+    pub(super) fn variants(&self, stage: &Stage) -> BTreeMap<String, BTreeSet<String>> {
+        let mut found: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        for opinions in self.borrow(stage) {
+            let names = |path: &sdf::Path, field: ChildrenKey| {
+                let value = opinions.data().try_field(path, field.as_str());
+                match value.ok().flatten().as_deref() {
+                    Some(sdf::Value::TokenVec(names)) => {
+                        names.iter().map(ToString::to_string).collect()
+                    }
+                    _ => Vec::new(),
+                }
+            };
+            let path = &opinions.site.path;
+            for set in names(path, ChildrenKey::VariantSetChildren) {
+                let at = path.append_variant_selection(&set, "");
+                let variants = names(&at, ChildrenKey::VariantChildren);
+                found.entry(set).or_default().extend(variants);
+            }
+        }
+        found
     }
 
     /// True if any site has `field`.

@@ -1,14 +1,18 @@
-//! The stage kept open between loads: one per population mask, reopened when the mask changes.
+//! The stage kept open between loads: one per population mask and composition, reopened when these change.
 
 use super::complaints;
-use super::layer_files::{LayerFiles, SharedFiles};
+use super::layer_files::{EMPTY_SESSION, LayerFiles, SharedFiles};
+use super::properties::Sites;
 use super::traverse::Traversal;
 use super::{OTHER_DOOR, Outcome};
 use crate::diagnostics::{CancelToken, Warning};
-use crate::stage::Error;
+use crate::stage::composition::{self, ChoiceOutcome};
 use crate::stage::raw::Request;
-use openusd::usd::{Stage, StagePopulationMask};
+use crate::stage::{Composition, Error, Load, VariantChoice};
+use openusd::sdf::{self, FieldKey};
+use openusd::usd::{InitialLoadSet, Stage, StageBuilder, StagePopulationMask};
 use std::any::Any;
+use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -17,7 +21,14 @@ use std::rc::Rc;
 pub(super) struct Session {
     root: PathBuf,
     files: Rc<LayerFiles>,
-    open: Option<(Vec<String>, Stage)>,
+    open: Option<Open>,
+}
+
+/// A composed stage, and for what it was.
+struct Open {
+    mask: Vec<String>,
+    composition: Composition,
+    stage: Stage,
 }
 
 impl Session {
@@ -29,12 +40,23 @@ impl Session {
         }
     }
 
-    /// Open the stage without a mask; layers behind references are not read yet.
+    /// Open the stage without a mask; layers behind references are not read yet. What is wrong with sublayers waits for
+    /// the first load, which knows whether they are muted.
     ///
     /// # Errors
-    /// When the root layer or one of its sublayers cannot be parsed.
+    /// When the root layer cannot be parsed.
     pub(super) fn open(&mut self) -> Result<(), Error> {
-        self.guarded(|session| session.stage(&[]).map(drop))
+        self.guarded(|session| {
+            let root = session.identifier();
+            match session.stage(&[], &Composition::default()) {
+                Err(Error::Layer { path, .. })
+                    if path != Path::new(&root) && path != session.root =>
+                {
+                    Ok(())
+                }
+                other => other.map(drop),
+            }
+        })
     }
 
     /// Compose, traverse and read everything `request` asks for.
@@ -43,33 +65,106 @@ impl Session {
     /// See [`crate::stage::Source::load`].
     pub(super) fn load(&mut self, request: &Request, cancel: &CancelToken) -> Outcome {
         self.guarded(|session| {
-            let stage = session.stage(&request.mask)?;
+            let stage = session.stage(&request.mask, &request.composition)?;
             let (raw, mut warnings) =
                 Traversal::new(&stage, &session.files, request, cancel).run(&session.root)?;
+            warnings.extend(session.judge_choices(&stage, &request.composition.variants)?);
             let errors = stage.composition_errors();
             warnings.extend(session.judge(&errors)?);
             Ok((raw, warnings))
         })
     }
 
-    fn stage(&mut self, mask: &[String]) -> Result<Stage, Error> {
-        if let Some((of, stage)) = &self.open
-            && of == mask
+    fn stage(&mut self, mask: &[String], composition: &Composition) -> Result<Stage, Error> {
+        if let Some(open) = &self.open
+            && open.mask == mask
+            && open.composition == *composition
         {
-            return Ok(stage.clone());
+            return Ok(open.stage.clone());
         }
-        let mut builder = Stage::builder().resolver(SharedFiles(Rc::clone(&self.files)));
+        let builder = Stage::builder().resolver(SharedFiles(Rc::clone(&self.files)));
+        let mut builder = self.composed_by(builder, composition)?;
         if !mask.is_empty() {
             builder = builder.mask(population(mask, &self.root)?);
         }
         let root = self.root.to_string_lossy();
-        let stage = builder
-            .open(&root)
-            .map_err(|error| self.unreadable(&format!("{error:#}")))?;
+        let unreadable = |error: anyhow::Error| self.unreadable(&format!("{error:#}"));
+        let stage = builder.open(&root).map_err(unreadable)?;
+        choose(&stage, &composition.variants).map_err(unreadable)?;
         let errors = stage.composition_errors();
         self.judge(&errors)?;
-        self.open = Some((mask.to_vec(), stage.clone()));
+        self.open = Some(Open {
+            mask: mask.to_vec(),
+            composition: composition.clone(),
+            stage: stage.clone(),
+        });
         Ok(stage)
+    }
+
+    fn composed_by(
+        &self,
+        builder: StageBuilder,
+        composition: &Composition,
+    ) -> Result<StageBuilder, Error> {
+        let root = self.identifier();
+        for layer in &composition.muted_layers {
+            let identifier = self.files.anchored(layer, Some(&root));
+            if identifier == root {
+                return Err(self.refused(&format!("the root layer {layer} cannot be muted")));
+            }
+            if !self.files.exists(&identifier) {
+                return Err(self.refused(&format!("there is no layer {layer} to mute")));
+            }
+        }
+        let mut builder = builder.mute(&composition.muted_layers);
+        if composition.load == Load::None {
+            builder = builder.load(InitialLoadSet::LoadNone);
+        }
+        if let Some(session) = &composition.session_layer {
+            let session = session.to_string_lossy();
+            if !self.files.exists(&self.files.anchored(&session, None)) {
+                return Err(self.refused(&format!("there is no session layer {session}")));
+            }
+            builder = builder.session_layer(session);
+        } else if !composition.variants.is_empty() {
+            builder = builder.session_layer(EMPTY_SESSION);
+        }
+        Ok(builder)
+    }
+
+    /// Identifier of the root layer.
+    fn identifier(&self) -> String {
+        self.files.anchored(&self.root.to_string_lossy(), None)
+    }
+
+    fn refused(&self, message: &str) -> Error {
+        Error::Layer {
+            path: self.root.clone(),
+            message: message.to_owned(),
+        }
+    }
+
+    fn judge_choices(
+        &self,
+        stage: &Stage,
+        choices: &[VariantChoice],
+    ) -> Result<Vec<Warning>, Error> {
+        let mut outcomes = Vec::new();
+        for choice in choices {
+            let outcome = outcome(stage, choice);
+            outcomes.push((
+                choice,
+                outcome.map_err(|e| self.unreadable(&format!("{e:#}")))?,
+            ));
+        }
+        let complaints = composition::judge(outcomes.into_iter());
+        let complaints = complaints.map_err(|message| self.refused(&message))?;
+        let warning = |(prim, message)| Warning {
+            kind: "variant-choice".to_owned(),
+            prim,
+            message,
+        };
+        Ok(complaints.into_iter().map(warning).collect())
     }
 
     fn judge(&self, errors: &[openusd::pcp::Error]) -> Result<Vec<Warning>, Error> {
@@ -101,10 +196,49 @@ impl Session {
     }
 }
 
+/// Write `choices` into the stage's session layer, in memory.
+fn choose(stage: &Stage, choices: &[VariantChoice]) -> anyhow::Result<()> {
+    let Some(session) = stage.edit_target_session().filter(|_| !choices.is_empty()) else {
+        return Ok(());
+    };
+    stage.set_edit_target(session)?;
+    for choice in choices {
+        let prim = stage.override_prim(choice.prim.as_str())?;
+        prim.update_metadata(FieldKey::VariantSelection.as_str(), |authored| {
+            let mut all = match authored {
+                Some(sdf::Value::VariantSelectionMap(all)) => all,
+                _ => HashMap::new(),
+            };
+            all.insert(choice.set.clone(), choice.choice.clone());
+            sdf::Value::VariantSelectionMap(all)
+        })?;
+    }
+    Ok(())
+}
+
+fn outcome(stage: &Stage, choice: &VariantChoice) -> anyhow::Result<ChoiceOutcome> {
+    let path = sdf::Path::new(&choice.prim)?;
+    let prim = stage.prim(path.clone());
+    if !prim.is_defined()? || !prim.is_loaded()? {
+        return Ok(ChoiceOutcome::NoPrim);
+    }
+    let variants = Sites::of(stage, &path)?.variants(stage);
+    let Some(names) = variants.get(&choice.set) else {
+        return Ok(ChoiceOutcome::NoSet(variants.into_keys().collect()));
+    };
+    if !names.contains(&choice.choice) {
+        return Ok(ChoiceOutcome::NoVariant(names.iter().cloned().collect()));
+    }
+    Ok(match prim.is_instance_proxy()? {
+        true => ChoiceOutcome::BelowInstance,
+        false => ChoiceOutcome::Applied,
+    })
+}
+
 fn population(mask: &[String], root: &Path) -> Result<StagePopulationMask, Error> {
     let mut population = StagePopulationMask::empty();
     for path in mask {
-        let prim = openusd::sdf::Path::new(path).ok();
+        let prim = sdf::Path::new(path).ok();
         let prim = prim.filter(|prim| prim.is_abs() && !prim.is_property_path());
         let prim = prim.ok_or_else(|| Error::Layer {
             path: root.to_owned(),

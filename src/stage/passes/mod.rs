@@ -7,7 +7,7 @@ pub mod skinning;
 pub mod xform;
 
 use super::raw::{RawAttribute, RawMeta, RawPrim, RawStage};
-use super::{Error, ReadSettings};
+use super::{Error, ReadSettings, VariantChoice};
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Scene, StageInfo, UpAxis};
 
@@ -28,13 +28,14 @@ pub fn scene(
     if settings.time.is_none() {
         warn_of_unread_samples(raw, diagnostics);
     }
+    warn_of_unloaded(raw, diagnostics);
     let occurrences = flatten::flatten(raw, settings, diagnostics);
     let layout = geometry::lay_out(raw, &occurrences, settings, diagnostics)?;
     let look = look::resolve(raw, &occurrences, layout.origin(), settings, diagnostics);
     let origin = layout.origin();
     let (meshes, prims) = layout.build(&look, diagnostics)?;
-    Ok(Scene {
-        stage: stage_info(&raw.meta, settings.time, diagnostics),
+    let mut scene = Scene {
+        stage: stage_info(&raw.meta, settings, diagnostics),
         origin,
         meshes,
         prims,
@@ -42,7 +43,9 @@ pub fn scene(
         lights: look.lights,
         cameras: look.cameras,
         render_settings: look.render_settings,
-    })
+    };
+    look::mesh_lights::shine(&mut scene, &look.mesh_lights, diagnostics);
+    Ok(scene)
 }
 
 /// Who forgets `--frames` gets an animated stage without what moves: as USD's default time has it, but not in silence.
@@ -72,7 +75,22 @@ fn warn_of_unread_samples(raw: &RawStage, diagnostics: &Diagnostics) {
     );
 }
 
-fn stage_info(meta: &RawMeta, time: Option<f64>, diagnostics: &Diagnostics) -> StageInfo {
+/// Payloads left out by `--load none`: asked for, but what is missing shows in the result.
+fn warn_of_unloaded(raw: &RawStage, diagnostics: &Diagnostics) {
+    if let Some(first) = raw.meta.unloaded.first() {
+        let count = raw.meta.unloaded.len();
+        diagnostics.warn(
+            "unloaded-payload",
+            first.clone(),
+            format!(
+                "payloads of {count} prims, this one first, are not loaded: what they hold is neither drawn nor lit, and \
+                 casts no shadow (--load all brings it in)"
+            ),
+        );
+    }
+}
+
+fn stage_info(meta: &RawMeta, settings: &ReadSettings, diagnostics: &Diagnostics) -> StageInfo {
     let positive = |name: &str, authored: Option<f64>, fallback: f64| match authored {
         Some(number) if !(number.is_finite() && number > 0.0) => {
             let message = format!("{name} is {number}, not above 0: {fallback} is used");
@@ -99,8 +117,14 @@ fn stage_info(meta: &RawMeta, time: Option<f64>, diagnostics: &Diagnostics) -> S
             meta.time_codes_per_second,
             DEFAULT_TIME_CODES_PER_SECOND,
         ),
-        time,
+        time: settings.time,
         layers: meta.layers.clone(),
+        variants: settings
+            .composition
+            .variants
+            .iter()
+            .map(VariantChoice::parts)
+            .collect(),
         reader: meta.reader.to_owned(),
     }
 }
@@ -111,7 +135,11 @@ mod tests {
 
     #[test]
     fn unauthored_metadata_has_usd_fallbacks() {
-        let info = stage_info(&RawMeta::default(), None, &Diagnostics::default());
+        let info = stage_info(
+            &RawMeta::default(),
+            &ReadSettings::default(),
+            &Diagnostics::default(),
+        );
         assert_eq!(info.up_axis, UpAxis::Y);
         assert_eq!(info.meters_per_unit, 0.01);
         assert_eq!(info.time_codes_per_second, 24.0);

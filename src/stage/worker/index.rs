@@ -15,6 +15,8 @@ pub(super) struct Index {
     meta: Meta,
     prims: Vec<Prim>,
     prototype_start: usize,
+    /// What became of each variant choice, and names that would have been right.
+    pub(super) variants: Vec<(String, Vec<String>)>,
     /// The file of arrays; empty when there are none.
     pub(super) arrays: PathBuf,
     /// What USD warned of, sorted.
@@ -31,6 +33,7 @@ struct Meta {
     time_codes_per_second: Option<Number>,
     render_settings_prim_path: Option<String>,
     layers: Vec<String>,
+    unloaded: Vec<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -130,6 +133,7 @@ impl Meta {
             time_codes_per_second: float(self.time_codes_per_second),
             render_settings_prim_path: self.render_settings_prim_path,
             layers: self.layers,
+            unloaded: self.unloaded,
             reader: "usd-core",
         }
     }

@@ -9,8 +9,9 @@ mod interpreter;
 mod map;
 mod process;
 
+use super::composition::{self, ChoiceOutcome};
 use super::raw::{RawStage, Request};
-use super::{Error, Source};
+use super::{Composition, Error, Load, Source};
 use crate::diagnostics::Diagnostics;
 use index::Index;
 use process::{Failure, Process};
@@ -120,6 +121,7 @@ impl Source for WorkerSource {
             "mask": request.mask,
             "attributes": request.attributes,
             "values_not_needed": request.values_not_needed,
+            "composition": spelled(&request.composition),
         }});
         let index: Index = self
             .process
@@ -133,6 +135,13 @@ impl Source for WorkerSource {
             let (prim, message) = clean(warning);
             diagnostics.warn("usd", prim, message);
         }
+        let outcomes = index.variants.iter().map(outcome);
+        let choices = request.composition.variants.iter();
+        let warnings = composition::judge(choices.zip(outcomes));
+        let refused = |message| self.error(Failure::Refused(message));
+        for (prim, message) in warnings.map_err(refused)? {
+            diagnostics.warn("variant-choice", prim, message);
+        }
         self.stage_of(index)
             .map_err(|problem| self.worker_error(problem))
     }
@@ -143,6 +152,32 @@ impl Source for WorkerSource {
 
     fn peak_memory_bytes(&self) -> Option<u64> {
         super::process_peak_memory(self.process_id())
+    }
+}
+
+/// `composition` as the worker takes it.
+fn spelled(composition: &Composition) -> serde_json::Value {
+    let choices = composition.variants.iter();
+    let choices = choices.map(|choice| [&choice.prim, &choice.set, &choice.choice]);
+    json!({
+        "load": match composition.load {
+            Load::All => "all",
+            Load::None => "none",
+        },
+        "variants": choices.collect::<Vec<_>>(),
+        "session": composition.session_layer,
+        "muted": composition.muted_layers,
+    })
+}
+
+/// What the worker says of a variant choice.
+fn outcome((kind, names): &(String, Vec<String>)) -> ChoiceOutcome {
+    match kind.as_str() {
+        "prim" => ChoiceOutcome::NoPrim,
+        "set" => ChoiceOutcome::NoSet(names.clone()),
+        "variant" => ChoiceOutcome::NoVariant(names.clone()),
+        "instance" => ChoiceOutcome::BelowInstance,
+        _ => ChoiceOutcome::Applied,
     }
 }
 

@@ -2,7 +2,8 @@
 
 Requests (one JSON object a line on stdin):
   {"open": PATH, "scratch": [FOLDER, ...]}
-  {"load": {"time": NUMBER|null, "mask": [PATH], "attributes": [NAME|PREFIX*], "values_not_needed": [...]}}
+  {"load": {"time": NUMBER|null, "mask": [PATH], "attributes": [NAME|PREFIX*], "values_not_needed": [...],
+            "composition": {"load": "all"|"none", "variants": [[PRIM, SET, CHOICE]], "session": PATH|null, "muted": [ID]}}}
 Replies (one line on stdout each): {"ok": ...} or {"error": MESSAGE}; the very first line says what was imported.
 All numbers keep the memory order of USD: a row-vector matrix read as columns is its transpose.
 """
@@ -359,16 +360,59 @@ class Worker:
             raise FileNotFoundError("usd-core finds no layer there")
         return {}
 
-    def stage(self, mask):
-        key = tuple(mask)
+    def stage(self, mask, composition):
+        key = json.dumps([mask, composition])
         if key not in self.stages:
             self.stages.clear()  # one population at a time: the frames of a job share theirs
-            self.stages[key] = self.masked_stage(mask) if mask else Usd.Stage.Open(self.root, Usd.Stage.LoadAll)
+            self.stages[key] = self.composed(mask, composition)
         return self.stages[key]
 
-    def masked_stage(self, mask):
-        population = Usd.StagePopulationMask([Sdf.Path(path) for path in mask])
-        stage = Usd.Stage.OpenMasked(self.root, population, Usd.Stage.LoadAll)
+    def composed(self, mask, composition):
+        load = Usd.Stage.LoadNone if composition["load"] == "none" else Usd.Stage.LoadAll
+        session = self.session(composition)
+        muted = composition["muted"]
+        for layer in muted:
+            if not Ar.GetResolver().Resolve(Sdf.ComputeAssetPathRelativeToLayer(self.root, layer)):
+                raise FileNotFoundError("usd-core finds no layer %s to mute" % layer)
+        population = Usd.StagePopulationMask([Sdf.Path(path) for path in mask]) if mask else Usd.StagePopulationMask.All()
+        if muted:
+            # nothing is populated before that: what muted layers bring in is not even opened
+            stage = Usd.Stage.OpenMasked(self.root, session, Usd.StagePopulationMask(), load)
+            stage.MuteAndUnmuteLayers(muted, [])
+            stage.SetPopulationMask(population)
+        else:
+            stage = Usd.Stage.OpenMasked(self.root, session, population, load)
+        return self.widened(stage, population) if mask else stage
+
+    @staticmethod
+    def session(composition):
+        path = composition["session"]
+        if path is None:
+            session = Sdf.Layer.CreateAnonymous("session.usda")
+        else:
+            session = Sdf.Layer.FindOrOpen(path)
+            if session is None:
+                raise FileNotFoundError("usd-core finds no session layer %s" % path)
+            if session.dirty:
+                session.Reload(True)
+        for prim, variant_set, choice in composition["variants"]:
+            Sdf.CreatePrimInLayer(session, prim).variantSelections[variant_set] = choice
+        return session
+
+    @staticmethod
+    def variant_outcome(stage, path, variant_set, choice):
+        prim = stage.GetPrimAtPath(path)
+        if not prim or not prim.IsDefined() or not prim.IsLoaded():
+            return ["prim", []]
+        sets = prim.GetVariantSets()
+        if variant_set not in sets.GetNames():
+            return ["set", sorted(sets.GetNames())]
+        variants = sets.GetVariantSet(variant_set).GetVariantNames()
+        if choice not in variants:
+            return ["variant", sorted(variants)]
+        return ["instance" if prim.IsInstanceProxy() else "applied", []]
+
+    def widened(self, stage, population):
         while True:
             wider = population
             for path in self.needed_outside(stage):
@@ -395,11 +439,13 @@ class Worker:
                     yield target.GetPrimPath()
 
     def load(self, request):
-        stage = self.stage(request["mask"])
+        composition = request["composition"]
+        stage = self.stage(request["mask"], composition)
         loader = Loader(stage, request)
         stage_prims = loader.walk()
         return {
             "meta": stage_meta(stage),
+            "variants": [self.variant_outcome(stage, *choice) for choice in composition["variants"]],
             "prims": loader.prims,
             "prototype_start": stage_prims,
             "arrays": loader.arrays.write(self.scratch),
@@ -439,7 +485,21 @@ def stage_meta(stage):
         "render_settings_prim_path": authored("renderSettingsPrimPath", str),
         # anonymous layers (the session's) have no name that means anything outside this process
         "layers": sorted(layer.identifier for layer in stage.GetUsedLayers() if not layer.anonymous),
+        "unloaded": unloaded(stage),
     }
+
+
+def unloaded(stage):
+    """Prims whose payloads are not loaded, those below instances under the first of them."""
+    if stage.GetLoadRules() == Usd.StageLoadRules.LoadAll():
+        return []
+    wanted = Usd.PrimIsActive & Usd.PrimIsDefined & ~Usd.PrimIsAbstract
+    found = []
+    for root in [stage.GetPseudoRoot()] + stage.GetPrototypes():
+        for prim in Usd.PrimRange(root, wanted):
+            if prim.HasAuthoredPayloads() and not prim.IsLoaded():
+                found.append(str(prim.GetPath()))
+    return found
 
 
 def main():

@@ -12,6 +12,7 @@ use crate::scene::{StageInfo, UpAxis};
 use openusd::gf;
 use openusd::sdf::{FieldKey, Path as SdfPath, PathListOp, SpecType, TokenListOp, Value};
 use openusd::tf::Token;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Component, Path, PathBuf};
 
 /// Write `DIR/NAME_baked.usda` for the bake at `bake` = `DIR/NAME.*`; `shown` are the prims whose `displayColor` it
@@ -23,6 +24,7 @@ pub(super) fn write(stage: &StageInfo, bake: &Path, shown: &[String]) -> Result<
     let path = path_for(bake);
     let mut layer = Opinions::new();
     author_stage(&mut layer, stage, bake, &path);
+    choose_variants(&mut layer, stage)?;
     if !shown.is_empty() {
         let material = author_material(&mut layer, stage)?;
         for prim in shown {
@@ -31,6 +33,21 @@ pub(super) fn write(stage: &StageInfo, bake: &Path, shown: &[String]) -> Result<
     }
     save(&layer.finish(), &path)?;
     Ok(path)
+}
+
+/// The variants that were baked: the asset's own choice may have other points.
+fn choose_variants(layer: &mut Opinions, stage: &StageInfo) -> Result<(), Error> {
+    let mut by_prim: BTreeMap<&str, HashMap<String, String>> = BTreeMap::new();
+    for [prim, set, variant] in &stage.variants {
+        let chosen = by_prim.entry(prim.as_str()).or_default();
+        chosen.insert(set.clone(), variant.clone());
+    }
+    for (prim, chosen) in by_prim {
+        let prim = layer.over(prim)?;
+        let chosen = Value::VariantSelectionMap(chosen);
+        layer.set(&prim, FieldKey::VariantSelection, chosen);
+    }
+    Ok(())
 }
 
 /// `DIR/NAME_baked.usda` for `DIR/NAME.usdc`.

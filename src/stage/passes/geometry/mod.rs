@@ -1,4 +1,4 @@
-//! Meshes, implicit gprims and instancers → shared meshes and prims.
+//! Meshes, implicit gprims, curves, patches and instancers → shared meshes and prims.
 //!
 //! In: the composed stage and its flattened occurrences. Out: every distinct geometry once, and one [`Prim`] for each
 //! time it is drawn. A geometry drawn once is stored in world space relative to the scene's origin, with the identity
@@ -10,11 +10,14 @@
 mod attributes;
 mod authored;
 mod control;
+mod curves;
 mod draw_modes;
 mod gprims;
 mod instancer;
 mod limit_normals;
 mod normals;
+mod nurbs;
+mod patch;
 mod placement;
 mod primvars;
 mod refinement;
@@ -31,8 +34,10 @@ use super::look::Look;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{FaceMaterials, MaterialId, Mesh, MeshId, Prim, PrimSource};
 use authored::{AuthoredMesh, Scheme, local_origin};
+use curves::Curves;
 use glam::{Affine3A, DAffine3, DMat4, DVec3};
 use gprims::Gprim;
+use patch::Patch;
 use placement::{Kind, Placement};
 use primvars::AuthoredPrimvar;
 use rayon::prelude::*;
@@ -112,6 +117,7 @@ impl Layout<'_> {
         let mut geometries = self.geometries(&names);
         let mut sources = read_all(&geometries, &names, diagnostics)?;
         self.share_gprims(&mut geometries, &mut sources);
+        self.ask_for_depth(&geometries, &mut sources);
         let levels = refinement::levels(&self.demands(&geometries, &sources), diagnostics);
         diagnostics.check()?;
         let made: Vec<Option<(Mesh, DVec3)>> = sources
@@ -179,6 +185,16 @@ impl Layout<'_> {
                 let uses = std::mem::take(&mut geometries[index].uses);
                 geometries[owner].uses.extend(uses);
                 sources[index] = Source::Nothing;
+            }
+        }
+    }
+
+    /// Curves and patches are cut as their largest occurrence asks.
+    fn ask_for_depth(&self, geometries: &[Geometry], sources: &mut [Source]) {
+        for (geometry, source) in geometries.iter().zip(sources) {
+            if let Source::Curves(_, depth) | Source::Patch(_, depth) = source {
+                let scale = self.scale_of(geometry).max(f64::MIN_POSITIVE);
+                *depth = solids::SCENE_ERROR * self.diagonal() / scale;
             }
         }
     }
@@ -310,6 +326,10 @@ enum Source<'a> {
     Mesh(Box<AuthoredMesh<'a>>),
     /// With its facets around; 0 until [`Layout::share_gprims`] has chosen.
     Gprim(Box<Gprim>, usize),
+    /// With how deep facets may be, object space; 0 until [`Layout::ask_for_depth`] has chosen.
+    Curves(Box<Curves<'a>>, f64),
+    /// The same.
+    Patch(Box<Patch<'a>>, f64),
     Nothing,
 }
 
@@ -323,6 +343,12 @@ fn read_all<'a>(
         Ok(match Kind::of(geometry.prim) {
             Kind::Mesh => AuthoredMesh::read(geometry.prim, inherited, names, diagnostics)?
                 .map_or(Source::Nothing, |mesh| Source::Mesh(Box::new(mesh))),
+            Kind::Curves => Curves::read(geometry.prim, inherited, names, diagnostics)
+                .map_or(Source::Nothing, |curves| {
+                    Source::Curves(Box::new(curves), 0.0)
+                }),
+            Kind::Patch => Patch::read(geometry.prim, inherited, names, diagnostics)
+                .map_or(Source::Nothing, |patch| Source::Patch(Box::new(patch), 0.0)),
             _ => Gprim::read(geometry.prim, inherited, names, diagnostics)
                 .map_or(Source::Nothing, |gprim| Source::Gprim(Box::new(gprim), 0)),
         })
@@ -339,6 +365,8 @@ fn make(source: Source, level: usize, diagnostics: &Diagnostics) -> Option<(Mesh
     match source {
         Source::Nothing => None,
         Source::Gprim(gprim, facets) => Some((gprim.tessellate(facets), DVec3::ZERO)),
+        Source::Curves(curves, depth) => Some(curves.tessellate(depth)),
+        Source::Patch(patch, depth) => Some(patch.tessellate(depth)),
         Source::Mesh(mesh) if mesh.scheme == Scheme::None => {
             Some((mesh.as_polygons(diagnostics), mesh.center))
         }
@@ -969,7 +997,7 @@ mod tests {
     #[test]
     fn types_that_cannot_be_drawn_are_named() {
         let built = build_all(vec![
-            prim("/hair", "BasisCurves", None),
+            prim("/hair", "HermiteCurves", None),
             prim("/x", "Xform", None),
         ]);
         assert_eq!(built.warnings, ["unsupported-prim"]);

@@ -33,17 +33,17 @@ pub(super) struct Placement {
 pub(super) enum Kind {
     Mesh,
     Gprim,
+    Curves,
+    Patch,
     Instancer,
     /// Would be drawn by others.
     Unsupported,
     Nothing,
 }
 
-const UNSUPPORTED: [&str; 11] = [
-    "BasisCurves",
+const UNSUPPORTED: [&str; 9] = [
     "HermiteCurves",
     "NurbsCurves",
-    "NurbsPatch",
     "Points",
     "TetMesh",
     "Volume",
@@ -57,6 +57,8 @@ impl Kind {
     pub(super) fn of(prim: &RawPrim) -> Self {
         match prim.type_name.as_str() {
             "Mesh" => Self::Mesh,
+            "BasisCurves" => Self::Curves,
+            "NurbsPatch" => Self::Patch,
             "PointInstancer" => Self::Instancer,
             name if gprims::TYPES.contains(&name) => Self::Gprim,
             name if UNSUPPORTED.contains(&name) => Self::Unsupported,
@@ -89,7 +91,7 @@ pub(super) fn placements(
         let is_drawn = occurrence.visible && walk.is_wanted(occurrence.purpose);
         match kind {
             Kind::Instancer if is_drawn => walk.place_points(next, &mut placed),
-            Kind::Mesh | Kind::Gprim if is_drawn => {
+            Kind::Mesh | Kind::Gprim | Kind::Curves | Kind::Patch if is_drawn => {
                 walk.warn_of_what_is_not_applied(next);
                 placed.push(Placement {
                     occurrence: next,
@@ -205,6 +207,7 @@ impl<'a> Walk<'a> {
 
     fn place_points(&mut self, instancer: usize, placed: &mut Vec<Placement>) {
         let parts_of = self.prototype_parts(instancer);
+        self.warn_of_velocities(instancer);
         let occurrence = &self.occurrences[instancer];
         for point in self.points(instancer, parts_of.len()) {
             let world_from_point = occurrence.world_from_local * point.matrix;
@@ -225,6 +228,25 @@ impl<'a> Walk<'a> {
                     },
                 });
             }
+        }
+    }
+
+    /// Between samples usd-core moves points by their velocities. At whole frames, where samples are, it is the same.
+    fn warn_of_velocities(&self, instancer: usize) {
+        let prim = self.prim(instancer);
+        let moves = |positions: &str, velocities: &str| {
+            let attribute = prim.attributes.get(positions);
+            let has_velocities = prim.unread.iter().any(|name| name == velocities);
+            has_velocities && attribute.is_some_and(|attribute| attribute.varying)
+        };
+        let is_between = self.settings.time.is_some_and(|time| time.fract() != 0.0);
+        let moves = moves("positions", "velocities") || moves("orientations", "angularVelocities");
+        if is_between && moves {
+            self.warn(
+                "velocities",
+                instancer,
+                "velocities are not applied: between samples its points are interpolated",
+            );
         }
     }
 
@@ -324,7 +346,7 @@ impl<'a> Walk<'a> {
                 continue;
             }
             match Kind::of(prim) {
-                Kind::Mesh | Kind::Gprim => {
+                Kind::Mesh | Kind::Gprim | Kind::Curves | Kind::Patch => {
                     self.warn_of_what_is_not_applied(index);
                     parts.push(Part {
                         occurrence: index,

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use std::f64::consts::PI;
 
 /// A round shape is cut so that no point of a facet is further from it than this part of the scene's diagonal …
-const SCENE_ERROR: f64 = 1e-4;
+pub(super) const SCENE_ERROR: f64 = 1e-4;
 /// … but at least, and at most, this part of its own radius: finer would not show even when it fills the image, coarser
 /// would show in the outline of small ones.
 const RADIUS_ERROR: (f64, f64) = (1e-3, 1e-2);

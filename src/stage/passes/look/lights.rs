@@ -4,6 +4,7 @@
 //! with a warning that says what follows.
 
 use super::blackbody;
+use super::mesh_lights::{MaterialSync, MeshLight};
 use super::paths::Paths;
 use super::values::{Values, color, narrow, number};
 use crate::diagnostics::Diagnostics;
@@ -41,6 +42,36 @@ pub(super) fn read(
                 return None;
             }
             reader.light(kind, occurrence.world_from_local, origin)
+        })
+        .collect()
+}
+
+/// All meshes of `occurrences` that `is_shown` and are lights by `MeshLightAPI`.
+pub(super) fn read_meshes(
+    paths: &Paths<'_>,
+    is_shown: impl Fn(&Occurrence) -> bool,
+    diagnostics: &Diagnostics,
+) -> Vec<MeshLight> {
+    let occurrences = paths.occurrences().iter().enumerate();
+    occurrences
+        .filter(|(_, occurrence)| is_shown(occurrence))
+        .filter_map(|(index, occurrence)| {
+            let reader = Reader {
+                prim: paths.prim_of(index),
+                path: &occurrence.path,
+                up_axis: UpAxis::Y,
+                diagnostics,
+            };
+            if !reader.is_mesh_light() {
+                return None;
+            }
+            if below_instancer(paths, index) {
+                reader.warn(
+                    "it is below a PointInstancer: lights are not instanced, it does not shine",
+                );
+                return None;
+            }
+            reader.mesh_light()
         })
         .collect()
 }
@@ -132,7 +163,39 @@ impl Reader<'_> {
         })
     }
 
+    fn is_mesh_light(&self) -> bool {
+        self.prim.type_name == "Mesh" && self.has_api("MeshLightAPI")
+    }
+
+    fn mesh_light(&self) -> Option<MeshLight> {
+        let light = MeshLight {
+            path: self.path.to_owned(),
+            radiance: self.radiance(1.0),
+            normalize: self.flag("normalize").unwrap_or(false),
+            sync: MaterialSync::read(self.prim, self.path, self.diagnostics),
+        };
+        if !light.radiance.is_finite() {
+            self.diagnostics.warn(
+                "invalid-light",
+                self.path,
+                "an intensity or color is not finite: the mesh does not shine",
+            );
+            return None;
+        }
+        if self.shaping().is_some() {
+            self.warn("shaping of mesh lights is not applied: it shines in all directions");
+        }
+        if self.flag("shadow:enable") == Some(false) {
+            self.warn("shadow:enable of mesh lights is not applied: it casts shadows");
+        }
+        self.warn_of_the_rest();
+        Some(light)
+    }
+
     fn warn_of_other(&self, type_name: &str) {
+        if self.is_mesh_light() {
+            return;
+        }
         let is_light = matches!(type_name, "GeometryLight" | "PluginLight")
             || self.has_api("MeshLightAPI")
             || self.has_api("VolumeLightAPI")
@@ -172,7 +235,10 @@ impl Reader<'_> {
     fn light(&self, kind: LightKind, world_from_local: DMat4, origin: DVec3) -> Option<Light> {
         let light = Light {
             path: self.path.to_owned(),
-            radiance: self.radiance(&kind),
+            radiance: self.radiance(match kind {
+                LightKind::Distant { .. } => DISTANT_INTENSITY,
+                _ => 1.0,
+            }),
             normalize: self.flag("normalize").unwrap_or(false),
             world_from_light: self.placed(&kind, world_from_local, origin),
             shaping: self.shaping(),
@@ -191,12 +257,9 @@ impl Reader<'_> {
         Some(light)
     }
 
-    fn radiance(&self, kind: &LightKind) -> Vec3 {
-        let default = match kind {
-            LightKind::Distant { .. } => DISTANT_INTENSITY,
-            _ => 1.0,
-        };
-        let strength = self.number("intensity", default) * self.number("exposure", 0.0).exp2();
+    /// The product of the inputs; `intensity` is what the schema has where none is authored.
+    fn radiance(&self, intensity: f32) -> Vec3 {
+        let strength = self.number("intensity", intensity) * self.number("exposure", 0.0).exp2();
         let temperature = match self.flag("enableColorTemperature") {
             Some(true) => blackbody::color(self.number("colorTemperature", 6500.0)),
             _ => Vec3::ONE,
@@ -462,8 +525,8 @@ mod tests {
         let stage = Fixture::default()
             .prim("/G", "GeometryLight")
             .prim("/P", "PortalLight")
-            .prim("/M", "Mesh")
-            .api("MeshLightAPI")
+            .prim("/M", "Points")
+            .api("LightAPI")
             .prim("/F", "LightFilter")
             .prim("/I", "PointInstancer")
             .prim("/I/L", "SphereLight")

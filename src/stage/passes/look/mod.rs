@@ -8,6 +8,7 @@ mod collections;
 mod fixture;
 mod lights;
 mod materials;
+pub(super) mod mesh_lights;
 mod network;
 mod paths;
 mod reduce;
@@ -35,6 +36,8 @@ pub struct Look {
     pub binding: Vec<Option<MaterialId>>,
     /// Visible lights.
     pub lights: Vec<Light>,
+    /// Visible meshes that are lights.
+    pub mesh_lights: Vec<mesh_lights::MeshLight>,
     /// Cameras.
     pub cameras: Vec<Camera>,
     /// Render settings, the stage's own choice first.
@@ -73,6 +76,7 @@ pub fn resolve(
                 && (purpose == Purpose::Default || settings.purposes.contains(&purpose))
         };
         look.lights = lights::read(&paths, is_shown, origin, up_axis(raw), diagnostics);
+        look.mesh_lights = lights::read_meshes(&paths, is_shown, diagnostics);
     }
     look.render_settings = render_settings;
     look

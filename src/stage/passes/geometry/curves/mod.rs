@@ -1,0 +1,484 @@
+//! Curves → tubes and ribbons of triangles.
+//!
+//! Curves without normals are round tubes with open ends, `widths` across; with normals they are flat ribbons. How
+//! finely they are cut: no further from the true curve than [`Curves::tessellate`] is asked for, within bounds of its own;
+//! a tube is a prism with the girth of the true one, so that its area and its mean width from all sides are right
+//! however few sides it has.
+
+mod basis;
+mod strand;
+
+use super::super::super::raw::{RawAttribute, RawPrim};
+use super::attributes::{boolean, ints, vectors};
+use super::authored::local_origin;
+use super::primvars::{AuthoredPrimvar, Layout, read_attribute};
+use super::topology::Topology;
+use crate::diagnostics::Diagnostics;
+use crate::math::Bounds3;
+use crate::scene::{Interpolation, Mesh, Normals, Primvar};
+use basis::{Form, Order, Place};
+use glam::{DVec3, Vec3, Vec4};
+use std::ops::Range;
+use strand::{Station, Strands};
+
+/// Width of curves without any: what Hydra draws.
+const DEFAULT_WIDTH: f32 = 1.0;
+
+/// Triangles of one prim, at most; coarser tubes from there on. 4 M hold 60 k hairs of 16 three-sided pieces.
+const TRIANGLE_BUDGET: usize = 4_000_000;
+
+/// A plan over the budget is made anew for facets this much deeper: a third of the sides, a third of the pieces.
+const COARSENING: f64 = 8.0;
+
+/// No depth below this part of the largest radius makes a finer tube.
+const FINEST_PLAN: f64 = 1e-4;
+
+/// Pieces of one segment, at most.
+const MAX_PIECES: usize = 64;
+
+/// A piece is no flatter an approximation than this part of its segment's length is deep, however small the curve.
+const PIECE_DEPTH: f64 = 0.02;
+
+/// The curves of one prim, checked.
+#[derive(Debug)]
+pub(super) struct Curves<'a> {
+    points: &'a [Vec3],
+    form: Form,
+    curves: Vec<Curve>,
+    widths: Option<AuthoredPrimvar>,
+    normals: Option<AuthoredPrimvar>,
+    primvars: Vec<AuthoredPrimvar>,
+    double_sided: bool,
+    type_name: String,
+    /// Positions are relative to this.
+    center: DVec3,
+}
+
+/// One curve that can be drawn.
+#[derive(Debug, Clone)]
+struct Curve {
+    /// Its number among all of the prim.
+    number: u32,
+    points: Range<usize>,
+    segments: usize,
+    /// First of its values of `varying` interpolation.
+    first_varying: usize,
+}
+
+/// What interpolations count over.
+struct Layouts {
+    /// Uniform and vertex.
+    vertex: Topology,
+    /// Varying and face-varying, which is the same here.
+    varying: Topology,
+}
+
+impl<'a> Curves<'a> {
+    /// The curves of `prim` with those of the primvars called `names` that it or (constant) `inherited` prims author.
+    /// `None`, with a warning, where nothing can be drawn.
+    pub(super) fn read(
+        prim: &'a RawPrim,
+        inherited: &[(String, &RawPrim)],
+        names: &[String],
+        diagnostics: &Diagnostics,
+    ) -> Option<Self> {
+        let warn = |message: String| {
+            diagnostics.warn("bad-curves", prim.path.clone(), message);
+        };
+        let points = vectors(prim, "points");
+        let form = checked_form(prim, points)
+            .map_err(|flaw| warn(format!("{flaw}; left out")))
+            .ok()?;
+        let counts = ints(prim, "curveVertexCounts");
+        let (curves, varying_total) = split(counts, form);
+        if curves.is_empty() {
+            diagnostics.warn(
+                "empty-mesh",
+                prim.path.clone(),
+                "there is no curve; it is left out",
+            );
+            return None;
+        }
+        if curves.len() < counts.len() {
+            let left_out = counts.len() - curves.len();
+            warn(format!(
+                "{left_out} of {} curves have a number of points that their basis and wrap cannot have; they are left out",
+                counts.len()
+            ));
+        }
+        let layouts = Layouts::of(counts, points.len(), varying_total);
+        let bounds = Bounds3::around(points.iter().copied());
+        let normals = layouts.read(prim, "normals", diagnostics);
+        Some(Self {
+            points,
+            form,
+            curves,
+            widths: widths(prim, &layouts, diagnostics),
+            primvars: read_primvars(prim, inherited, names, (&layouts, diagnostics)),
+            double_sided: boolean(prim, "doubleSided", normals.is_some()),
+            normals,
+            type_name: prim.type_name.clone(),
+            center: local_origin(bounds.min.as_dvec3(), bounds.max.as_dvec3()),
+        })
+    }
+
+    /// Tubes or ribbons in object space relative to the second value; facets lie about `depth` from the true surface at
+    /// most, unless the curves are too many for that.
+    pub(super) fn tessellate(self, depth: f64) -> (Mesh, DVec3) {
+        let plan = self.affordable_plan(depth);
+        let mut strands = Strands::default();
+        let mut values: Vec<Vec<Vec4>> = vec![Vec::new(); self.primvars.len()];
+        for (curve, shape) in self.curves.iter().zip(&plan.shapes) {
+            let places = self.places(curve, shape.pieces);
+            let stations: Vec<_> = places.iter().map(|&at| self.station(curve, at)).collect();
+            let is_closed = self.form.wrap == basis::Wrap::Periodic;
+            let width = match self.normals {
+                Some(_) => strands.add_ribbon(&stations, is_closed, curve.number),
+                None => strands.add_tube(&stations, is_closed, (curve.number, shape.sides)),
+            };
+            for (primvar, values) in self.primvars.iter().zip(&mut values) {
+                if spreads(primvar.layout) {
+                    for &at in &places {
+                        let value = self.value(primvar, curve, at);
+                        values.extend(std::iter::repeat_n(value, width));
+                    }
+                }
+            }
+        }
+        let is_closed = self.form.wrap == basis::Wrap::Periodic && self.normals.is_none();
+        let center = self.center;
+        (self.finish(strands, values, is_closed), center)
+    }
+
+    fn finish(self, strands: Strands, values: Vec<Vec<Vec4>>, closed: bool) -> Mesh {
+        let primvars = self.primvars.iter().zip(values);
+        let primvars = primvars.map(|(primvar, values)| laid_out(primvar, values));
+        Mesh {
+            positions: strands.positions,
+            triangles: strands.triangles,
+            triangle_faces: strands.curves,
+            normals: Normals::Vertex(strands.normals),
+            primvars: primvars.collect(),
+            double_sided: self.double_sided,
+            closed,
+            cage: None,
+            scheme: self.type_name,
+        }
+    }
+
+    fn largest_radius(&self) -> f64 {
+        let all = self.widths.iter().flat_map(|widths| &widths.values);
+        let largest = all.map(|value| value.x).reduce(f32::max);
+        0.5 * f64::from(largest.unwrap_or(DEFAULT_WIDTH).max(0.0))
+    }
+
+    /// How every curve is cut at `depth`, or as much coarser as the budget asks or can be.
+    fn affordable_plan(&self, depth: f64) -> Plan {
+        let mut depth = depth.max(FINEST_PLAN * self.largest_radius());
+        let mut plan = self.plan(depth);
+        while plan.triangles > TRIANGLE_BUDGET {
+            depth *= COARSENING;
+            let coarser = self.plan(depth);
+            if coarser.triangles == plan.triangles {
+                break;
+            }
+            plan = coarser;
+        }
+        plan
+    }
+
+    /// How every curve is cut at `depth`.
+    fn plan(&self, depth: f64) -> Plan {
+        let shape = |curve: &Curve| {
+            let radius = (0..curve.segments)
+                .flat_map(|segment| [0.0, 0.5, 1.0].map(|t| Place { segment, t }))
+                .map(|at| self.radius(curve, at))
+                .fold(0.0, f64::max);
+            let segments = (0..curve.segments).map(|segment| self.pieces(curve, segment, depth));
+            Shape {
+                pieces: segments.max().unwrap_or(1),
+                sides: strand::sides(radius, depth),
+            }
+        };
+        let shapes: Vec<Shape> = self.curves.iter().map(shape).collect();
+        let sides = |shape: &Shape| {
+            if self.normals.is_some() {
+                1
+            } else {
+                shape.sides
+            }
+        };
+        let all = self.curves.iter().zip(&shapes);
+        let triangles = all.map(|(curve, shape)| 2 * curve.segments * shape.pieces * sides(shape));
+        Plan {
+            triangles: triangles.sum(),
+            shapes,
+        }
+    }
+
+    /// Pieces that `segment` is cut into: a chord over 1/n of it is |second derivative| / 8n² deep at most, and that
+    /// derivative is largest at an end.
+    fn pieces(&self, curve: &Curve, segment: usize, depth: f64) -> usize {
+        let at = |t: f64, order| self.sum(curve, Place { segment, t }, order);
+        let bend = at(0.0, Order::Second)
+            .length()
+            .max(at(1.0, Order::Second).length());
+        let length = (at(1.0, Order::Value) - at(0.0, Order::Value)).length();
+        let length = length.max(at(0.5, Order::First).length());
+        let depth = depth.min(PIECE_DEPTH * length);
+        let pieces = (bend / (8.0 * depth)).sqrt().ceil();
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "clamped; a NaN (a segment without length) becomes 0"
+        )]
+        let pieces = pieces.clamp(0.0, 64.0) as usize;
+        pieces.clamp(1, MAX_PIECES)
+    }
+
+    /// Where rings are drawn: the ends of all pieces, each once.
+    fn places(&self, curve: &Curve, pieces: usize) -> Vec<Place> {
+        let mut all = Vec::with_capacity(curve.segments * pieces + 1);
+        for segment in 0..curve.segments {
+            all.extend((0..pieces).map(|piece| Place {
+                segment,
+                t: as_f64(piece) / as_f64(pieces),
+            }));
+        }
+        if self.form.wrap != basis::Wrap::Periodic {
+            all.push(Place {
+                segment: curve.segments - 1,
+                t: 1.0,
+            });
+        }
+        all
+    }
+
+    fn station(&self, curve: &Curve, at: Place) -> Station {
+        let normals = self.normals.as_ref();
+        Station {
+            position: self.sum(curve, at, Order::Value) - self.center,
+            tangent: match self.form.basis {
+                // the polyline's corners want more than one side's direction
+                basis::Basis::Linear => DVec3::ZERO,
+                _ => self.sum(curve, at, Order::First),
+            },
+            radius: self.radius(curve, at),
+            normal: normals.map(|normals| self.value(normals, curve, at).truncate().as_dvec3()),
+        }
+    }
+
+    fn sum(&self, curve: &Curve, at: Place, order: Order) -> DVec3 {
+        let points = &self.points[curve.points.clone()];
+        let weights = self.form.weights(points.len(), at, order);
+        let weighted = weights
+            .iter()
+            .map(|&(i, weight)| points[i].as_dvec3() * weight);
+        weighted.sum()
+    }
+
+    fn radius(&self, curve: &Curve, at: Place) -> f64 {
+        let width = match &self.widths {
+            Some(widths) => self.value(widths, curve, at).x,
+            None => DEFAULT_WIDTH,
+        };
+        // splines may swing below the values they approximate
+        0.5 * f64::from(width).max(0.0)
+    }
+
+    fn value(&self, primvar: &AuthoredPrimvar, curve: &Curve, at: Place) -> Vec4 {
+        let element = |index: usize| primvar.values[primvar.elements[index] as usize];
+        match primvar.layout {
+            Layout::Constant => element(0),
+            Layout::Uniform => element(curve.number as usize),
+            Layout::Vertex => {
+                let weights = self.form.weights(curve.points.len(), at, Order::Value);
+                let weighted = weights
+                    .iter()
+                    .map(|&(i, weight)| element(curve.points.start + i) * narrow(weight));
+                weighted.sum()
+            }
+            Layout::Varying | Layout::FaceVarying => {
+                let count = self.form.varying_count(curve.segments);
+                let end = |at: usize| element(curve.first_varying + at % count);
+                end(at.segment).lerp(end(at.segment + 1), narrow(at.t))
+            }
+        }
+    }
+}
+
+/// See [`Curves::plan`].
+struct Plan {
+    shapes: Vec<Shape>,
+    triangles: usize,
+}
+
+struct Shape {
+    /// Of every segment.
+    pieces: usize,
+    /// Of the tube.
+    sides: usize,
+}
+
+/// True for values that change along a curve.
+fn spreads(layout: Layout) -> bool {
+    !matches!(layout, Layout::Constant | Layout::Uniform)
+}
+
+fn laid_out(primvar: &AuthoredPrimvar, values: Vec<Vec4>) -> Primvar {
+    match primvar.layout {
+        Layout::Constant => primvar.finish(Interpolation::Constant, primvar.expanded()),
+        Layout::Uniform => primvar.finish(Interpolation::Uniform, primvar.expanded()),
+        _ => primvar.finish(Interpolation::Vertex, values),
+    }
+}
+
+/// The form of `prim`, if its arrays agree with each other.
+fn checked_form(prim: &RawPrim, points: &[Vec3]) -> Result<Form, String> {
+    let form = Form::read(prim)?;
+    let counts = ints(prim, "curveVertexCounts");
+    if let Some(count) = counts.iter().find(|&&count| count < 0) {
+        return Err(format!("curveVertexCounts has a {count}, below 0"));
+    }
+    let total: i64 = counts.iter().map(|&count| i64::from(count)).sum();
+    if i64::try_from(points.len()) != Ok(total) {
+        return Err(format!(
+            "curveVertexCounts sum up to {total}, there are {} points",
+            points.len()
+        ));
+    }
+    match points.iter().position(|point| !point.is_finite()) {
+        Some(index) => Err(format!("point {index} is {}, not finite", points[index])),
+        None => Ok(form),
+    }
+}
+
+/// The curves that can be drawn, and how many values of `varying` interpolation all have.
+fn split(counts: &[i32], form: Form) -> (Vec<Curve>, usize) {
+    let (mut curves, mut first_point, mut first_varying) = (Vec::new(), 0, 0);
+    for (number, &count) in (0..).zip(counts) {
+        let count = usize::try_from(count).unwrap_or(0);
+        let segments = form.segments(count);
+        if let Some(segments) = segments {
+            curves.push(Curve {
+                number,
+                points: first_point..first_point + count,
+                segments,
+                first_varying,
+            });
+        }
+        first_point += count;
+        first_varying += segments.map_or(0, |segments| form.varying_count(segments));
+    }
+    (curves, first_varying)
+}
+
+impl Layouts {
+    fn of(counts: &[i32], point_count: usize, varying_count: usize) -> Self {
+        let topology = |elements: usize| Topology {
+            point_count: elements,
+            counts: vec![1; counts.len()],
+            indices: vec![0; elements],
+            offsets: Vec::new(),
+            is_drawn: Vec::new(),
+        };
+        Self {
+            vertex: topology(point_count),
+            varying: topology(varying_count),
+        }
+    }
+
+    fn topology(&self, interpolation: Option<&str>) -> &Topology {
+        match interpolation {
+            Some("varying" | "faceVarying") => &self.varying,
+            _ => &self.vertex,
+        }
+    }
+
+    /// `primvars:NAME`, else the attribute NAME, which is of vertex interpolation unless it says otherwise.
+    fn read(
+        &self,
+        prim: &RawPrim,
+        name: &str,
+        diagnostics: &Diagnostics,
+    ) -> Option<AuthoredPrimvar> {
+        let primvar = format!("primvars:{name}");
+        let is_authored = |name: &str| {
+            let attribute = prim.attributes.get(name);
+            attribute.filter(|attribute| attribute.value.is_some())
+        };
+        if let Some(attribute) = is_authored(&primvar) {
+            let topology = self.topology(attribute.interpolation.as_deref());
+            return AuthoredPrimvar::read(prim, name, topology, diagnostics);
+        }
+        let attribute = is_authored(name)?;
+        let interpolation = attribute.interpolation.as_deref().or(Some("vertex"));
+        let read = self.attribute(attribute, interpolation);
+        let read = read.map_err(|flaw| {
+            let message = format!("{name} is ignored: {flaw}");
+            diagnostics.warn("bad-primvar", prim.path.clone(), message);
+        });
+        read.ok()
+    }
+
+    fn attribute(
+        &self,
+        attribute: &RawAttribute,
+        interpolation: Option<&str>,
+    ) -> Result<AuthoredPrimvar, String> {
+        let mut read =
+            read_attribute(attribute, None, interpolation, self.topology(interpolation))?;
+        match read.values.iter().find(|value| !value.is_finite()) {
+            Some(value) => Err(format!("{value} is not finite")),
+            None => {
+                read.values.shrink_to_fit();
+                Ok(read)
+            }
+        }
+    }
+}
+
+fn widths(prim: &RawPrim, layouts: &Layouts, diagnostics: &Diagnostics) -> Option<AuthoredPrimvar> {
+    let widths = layouts.read(prim, "widths", diagnostics);
+    if widths.is_none() {
+        diagnostics.warn(
+            "curve-widths",
+            prim.path.clone(),
+            format!("there are no widths that could be used: the curves are {DEFAULT_WIDTH} wide"),
+        );
+    }
+    widths
+}
+
+fn read_primvars(
+    prim: &RawPrim,
+    inherited: &[(String, &RawPrim)],
+    names: &[String],
+    (layouts, diagnostics): (&Layouts, &Diagnostics),
+) -> Vec<AuthoredPrimvar> {
+    let read = |owner: &RawPrim, name: &String| {
+        let attribute = owner.attributes.get(&format!("primvars:{name}"))?;
+        let topology = layouts.topology(attribute.interpolation.as_deref());
+        AuthoredPrimvar::read(owner, name, topology, diagnostics)
+    };
+    let found = names.iter().filter_map(|name| {
+        read(prim, name).or_else(|| {
+            let (_, owner) = inherited.iter().find(|(inherited, _)| inherited == name)?;
+            read(owner, name)
+        })
+    });
+    found.collect()
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts of pieces")]
+fn as_f64(count: usize) -> f64 {
+    count as f64
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "weights are of order 1")]
+fn narrow(weight: f64) -> f32 {
+    weight as f32
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,316 @@
+//! What is drawn, and where.
+
+use super::*;
+
+#[test]
+fn instancers_nested_masked_and_moving() {
+    let text = format!(
+        r#"
+( timeCodesPerSecond = 24 )
+def PointInstancer "outer" ( inactiveIds = [21] ) {{
+    int[] protoIndices = [0, 1, 0, 1]
+    int64[] ids = [20, 21, 22, 23]
+    int64[] invisibleIds = [22]
+    point3f[] positions = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0.5, 0)]
+    vector3f[] velocities = [(24, 0, 0), (0, 24, 0), (0, 0, 24), (1, 1, 1)]
+    rel prototypes = [</outer/P/a>, </outer/P/inner>]
+    double3 xformOp:translate = (0, 0, 7)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Scope "P" {{
+        token visibility = "invisible"
+        {mesh}
+        def PointInstancer "inner" {{
+            int[] protoIndices = [0, 0]
+            point3f[] positions = [(0, 1, 0), (0, 2, 0)]
+            float3[] scales = [(1, 2, 3), (-1, 1, 1)]
+            rel prototypes = </outer/P/inner/b>
+            def Xform "b" {{
+                double xformOp:rotateZ = 30
+                uniform token[] xformOpOrder = ["xformOp:rotateZ"]
+                {mesh2}
+            }}
+        }}
+    }}
+}}"#,
+        mesh = mesh("a", 1.0),
+        mesh2 = mesh("m", 2.0)
+    );
+    // points 20 and 23, the latter with two of its own
+    equal(&text, None, 3);
+}
+
+#[test]
+fn transform_ops_with_inverses_and_resets() {
+    let text = format!(
+        r#"
+( upAxis = "Z"
+metersPerUnit = 1 )
+def Xform "a" {{
+    double3 xformOp:translate = (1, 2, 3)
+    double3 xformOp:translate:pivot = (0.5, 0.5, 0.5)
+    float3 xformOp:rotateZXY = (10, 20, 30)
+    float3 xformOp:scale = (1, -2, 3)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:translate:pivot", "xformOp:rotateZXY", "xformOp:scale", "!invert!xformOp:translate:pivot"]
+    {m}
+    def Xform "b" {{
+        quatf xformOp:orient = (0.5, 0.5, 0.5, 0.5)
+        matrix4d xformOp:transform = ( (1, 0, 0, 0), (0, 2, 0, 0), (0, 0.5, 1, 0), (7, 8, 9, 1) )
+        uniform token[] xformOpOrder = ["!resetXformStack!", "xformOp:transform", "!invert!xformOp:orient"]
+        {m}
+    }}
+}}"#,
+        m = mesh("m", 1.0)
+    );
+    equal(&text, None, 2);
+}
+
+#[test]
+fn meshes_of_every_scheme_and_primvars_of_every_interpolation() {
+    let grid = "int[] faceVertexCounts = [4, 4, 4, 4]
+        int[] faceVertexIndices = [0, 1, 4, 3, 1, 2, 5, 4, 3, 4, 7, 6, 4, 5, 8, 7]
+        point3f[] points = [(0, 0, 0), (1, 0, 0.5), (2, 0, 0), (0, 1, 0), (1, 1, 1), (2, 1, 0), (0, 2, 0), (1, 2, 0), (2, 2, 3)]";
+    let text = format!(
+        r#"
+def Xform "top" {{
+    color3f[] primvars:displayColor = [(0.5, 0.25, 1)]
+    def Mesh "smooth" {{
+        {grid}
+    }}
+    def Mesh "creased" {{
+        {grid}
+        int[] creaseIndices = [3, 4, 5]
+        int[] creaseLengths = [3]
+        float[] creaseSharpnesses = [2]
+        int[] cornerIndices = [8]
+        float[] cornerSharpnesses = [10]
+        int[] holeIndices = [3]
+    }}
+    def Mesh "bilinear" {{
+        {grid}
+        uniform token subdivisionScheme = "bilinear"
+    }}
+    def Mesh "left" {{
+        {grid}
+        uniform token subdivisionScheme = "none"
+        uniform token orientation = "leftHanded"
+        bool doubleSided = 1
+        color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)] ( interpolation = "uniform" )
+        float[] primvars:displayOpacity = [0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8] ( interpolation = "vertex" )
+        texCoord2f[] primvars:st = [(0, 0), (1, 0), (0, 1), (1, 1)] ( interpolation = "faceVarying" )
+        int[] primvars:st:indices = [0, 1, 3, 2, 2, 0, 1, 3, 0, 1, 3, 2, 3, 2, 0, 1]
+    }}
+}}"#
+    );
+    equal(&text, None, 4);
+}
+
+#[test]
+fn what_is_not_drawn_is_named() {
+    for shape in [
+        "Points \"x\" { point3f[] points = [(0, 0, 0)]\n}",
+        "HermiteCurves \"x\" { int[] curveVertexCounts = [2]
+            vector3f[] tangents = [(1, 0, 0), (1, 0, 0)]
+            point3f[] points = [(0, 0, 0), (1, 0, 0)]\n}",
+    ] {
+        unsupported(&format!("def {shape}"), "unsupported-prim");
+    }
+}
+
+#[test]
+fn curves_of_every_type_basis_and_wrap() {
+    let points = "[(0, 0, 0), (1, 0, 0), (2, 1, 0), (3, 1, 0), (4, 0, 1), (5, 0, 2), (6, 1, 1)]";
+    let forms = [
+        ("linear", "bezier", "nonperiodic", 7),
+        ("linear", "bezier", "periodic", 7),
+        ("cubic", "bezier", "nonperiodic", 7),
+        ("cubic", "bezier", "periodic", 6),
+        ("cubic", "bspline", "nonperiodic", 7),
+        ("cubic", "bspline", "periodic", 7),
+        ("cubic", "bspline", "pinned", 7),
+        ("cubic", "catmullRom", "nonperiodic", 7),
+        ("cubic", "catmullRom", "periodic", 7),
+        ("cubic", "catmullRom", "pinned", 7),
+    ];
+    for (kind, basis, wrap, count) in forms {
+        let points = points
+            .split_inclusive("), ")
+            .take(count)
+            .collect::<String>();
+        let points = format!("{}]", points.trim_end_matches(&[',', ' ', ']'][..]));
+        let text = format!(
+            "def Xform \"x\" {{
+    float3 xformOp:scale = (1, 2, -3)
+    uniform token[] xformOpOrder = [\"xformOp:scale\"]
+    def BasisCurves \"c\" {{
+        uniform token type = \"{kind}\"
+        uniform token basis = \"{basis}\"
+        uniform token wrap = \"{wrap}\"
+        int[] curveVertexCounts = [{count}]
+        point3f[] points = {points}
+        float[] widths = [0.2] ( interpolation = \"constant\" )
+        color3f[] primvars:displayColor = [(1, 0, 0)] ( interpolation = \"uniform\" )
+    }}
+}}"
+        );
+        equal(&text, None, 1);
+    }
+}
+
+#[test]
+fn ribbons_and_patches() {
+    let text = r#"
+def BasisCurves "ribbon" {
+    uniform token type = "linear"
+    int[] curveVertexCounts = [2, 3]
+    point3f[] points.timeSamples = { 0: [(0, 0, 0), (1, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)], 10: [(0, 5, 0), (1, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)] }
+    normal3f[] normals = [(0, 1, 0), (0, 1, 0), (0, 1, 0), (0, 0, 1), (0, 1, 0)]
+    float[] widths = [0.1, 0.2, 0.1, 0.5, 0.1] ( interpolation = "varying" )
+}
+def NurbsPatch "patch" {
+    uniform token orientation = "leftHanded"
+    int uVertexCount = 3
+    int vVertexCount = 2
+    int uOrder = 3
+    int vOrder = 2
+    double[] uKnots = [0, 0, 0, 1, 1, 1]
+    double[] vKnots = [0, 0, 1, 1]
+    double2 uRange = (0, 1)
+    double2 vRange = (0, 1)
+    double[] pointWeights = [1, 0.7, 1, 1, 0.7, 1]
+    point3f[] points = [(1, 0, 0), (1, 1, 0), (0, 1, 0), (1, 0, 4), (1, 1, 4), (0, 1, 4)]
+}"#;
+    for time in [None, Some(2.5)] {
+        let prims = if time.is_some() { 2 } else { 1 };
+        let expected = [Outcome::Equal(prims), Outcome::Equal(prims)];
+        assert_eq!(
+            outcomes(
+                &[(
+                    "root.usda",
+                    &text.replace(" }\n    normal", "\n }\n    normal")
+                )],
+                time
+            ),
+            expected
+        );
+    }
+}
+
+#[test]
+fn native_instances_nest_and_share() {
+    let asset = format!(
+        "( defaultPrim = \"A\" )
+def Xform \"A\" {{
+    def Xform \"inner\" ( instanceable = true
+        references = </Leaf> ) {{ double3 xformOp:translate = (0, 1, 0)
+        uniform token[] xformOpOrder = [\"xformOp:translate\"]
+    }}
+    def Xform \"twin\" ( instanceable = true
+        references = </Leaf> ) {{ double3 xformOp:translate = (0, 0, 3)
+        uniform token[] xformOpOrder = [\"xformOp:translate\"]
+    }}
+}}
+def Xform \"Leaf\" {{ {} }}",
+        mesh("m", 1.0)
+    );
+    let root = "def Xform \"W\" {
+    def \"a\" ( instanceable = true
+        references = @asset.usda@ ) { float xformOp:rotateX = 30
+        uniform token[] xformOpOrder = [\"xformOp:rotateX\"]
+    }
+    def \"b\" ( instanceable = true
+        references = @asset.usda@ ) { token visibility = \"invisible\"
+    }
+    def \"c\" ( instanceable = true
+        references = @asset.usda@ ) { token purpose = \"render\"
+        float3 xformOp:scale = (-1, 2, 1)
+        uniform token[] xformOpOrder = [\"xformOp:scale\"]
+    }
+    def \"d\" ( references = @asset.usda@ ) { }
+}";
+    equal_files(&[("root.usda", root), ("asset.usda", &asset)], None, 6);
+}
+
+/// A grid of 2 × 2 quads.
+const GRID: &str = "int[] faceVertexCounts = [4, 4, 4, 4]
+    int[] faceVertexIndices = [0, 1, 4, 3, 1, 2, 5, 4, 3, 4, 7, 6, 4, 5, 8, 7]
+    point3f[] points = [(0, 0, 0), (1, 0, 0.5), (2, 0, 0), (0, 1, 0), (1, 1, 1), (2, 1, 0), (0, 2, 0), (1, 2, 0), (2, 2, 3)]";
+
+#[test]
+fn subdivision_with_holes_left_hands_and_face_varying_data() {
+    let mut text = String::new();
+    let linear = [
+        "none",
+        "cornersOnly",
+        "cornersPlus1",
+        "cornersPlus2",
+        "boundaries",
+        "all",
+    ];
+    for (index, rule) in linear.into_iter().enumerate() {
+        let boundary = ["none", "edgeOnly", "edgeAndCorner"][index % 3];
+        text += &format!(
+            "def Mesh \"m{index}\" {{
+    {GRID}
+    uniform token orientation = \"{}\"
+    int[] holeIndices = [{}]
+    token faceVaryingLinearInterpolation = \"{rule}\"
+    token interpolateBoundary = \"{boundary}\"
+    int[] cornerIndices = [4]
+    float[] cornerSharpnesses = [1.5]
+    color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)] ( interpolation = \"uniform\" )
+    texCoord2f[] primvars:st = [(0, 0), (1, 0), (0, 1), (1, 1)] ( interpolation = \"faceVarying\" )
+    int[] primvars:st:indices = [0, 1, 3, 2, 2, 0, 1, 3, 0, 1, 3, 2, 3, 2, 0, 1]
+}}\n",
+            ["rightHanded", "leftHanded"][index % 2],
+            index % 4
+        );
+    }
+    equal(&text, None, linear.len());
+}
+
+#[test]
+fn subsets_overlap_and_leave_faces_unassigned() {
+    let text = format!(
+        "def Material \"a\" {{ }}
+def Material \"b\" {{ }}
+def Mesh \"m\" {{
+    {GRID}
+    def GeomSubset \"one\" ( apiSchemas = [\"MaterialBindingAPI\"] ) {{
+        uniform token elementType = \"face\"
+        uniform token familyName = \"materialBind\"
+        int[] indices = [0, 1]
+        rel material:binding = </a>
+    }}
+    def GeomSubset \"two\" ( apiSchemas = [\"MaterialBindingAPI\"] ) {{
+        uniform token elementType = \"face\"
+        uniform token familyName = \"materialBind\"
+        int[] indices = [1, 2]
+        rel material:binding = </b>
+    }}
+}}"
+    );
+    equal(&text, None, 1);
+}
+
+#[test]
+fn velocities_between_samples_are_named() {
+    let text = format!(
+        "( timeCodesPerSecond = 24 )
+def PointInstancer \"i\" {{
+    int[] protoIndices = [0, 0]
+    point3f[] positions.timeSamples = {{ 1: [(0, 0, 0), (5, 0, 0)], 2: [(1, 0, 0), (5, 1, 0)]
+    }}
+    vector3f[] velocities.timeSamples = {{ 1: [(48, 0, 0), (0, 0, 0)], 2: [(24, 0, 0), (0, 24, 0)]
+    }}
+    rel prototypes = </i/p>
+    def Xform \"p\" {{ {} }}
+}}",
+        mesh("m", 1.0)
+    );
+    for time in [1.0, 2.0] {
+        equal(&text, Some(time), 2);
+    }
+    for outcome in outcomes(&[("root.usda", &text)], Some(1.5)) {
+        assert_eq!(outcome, Outcome::Unsupported(vec!["velocities".to_owned()]));
+    }
+}
