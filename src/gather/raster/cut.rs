@@ -77,7 +77,7 @@ pub(super) fn find(engine: &RasterEngine<'_>, group: &Group) -> Cut {
         cut: Cut::default(),
     };
     let mut pending = Vec::new();
-    if !(engine.octree.node_count() == 0) {
+    if engine.octree.node_count() != 0 {
         pending.push((0_usize, Sight::Unknown));
     }
     // What a node pushes is done before its siblings are, so that the areas of a doubt stand together.
