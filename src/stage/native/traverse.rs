@@ -5,7 +5,7 @@ use super::layer_files::LayerFiles;
 use super::properties::{Fault, InstanceKey, Properties, Sites, text};
 use crate::diagnostics::{CancelToken, Cancelled, Warning};
 use crate::stage::Error;
-use crate::stage::raw::{RawMeta, RawPrim, RawStage, Request};
+use crate::stage::raw::{RawMeta, RawPrim, RawStage, ReadCounts, Request};
 use openusd::sdf::{self, FieldKey};
 use openusd::usd::{ClipsAPI, Stage};
 use std::collections::HashMap;
@@ -83,8 +83,14 @@ impl<'a> Traversal<'a> {
         for (instance, prototype) in self.instances {
             self.prims[instance].prototype = Some(roots[prototype]);
         }
+        let mut meta = meta(self.stage, root)?;
+        let attributes = self.prims.iter().flat_map(|prim| prim.attributes.values());
+        for value in attributes.filter_map(|attribute| attribute.value.as_ref()) {
+            meta.read.attributes += 1;
+            meta.read.bytes += value.bytes();
+        }
         let raw = RawStage {
-            meta: meta(self.stage, root)?,
+            meta,
             prims: self.prims,
             prototype_start,
         };
@@ -269,6 +275,7 @@ fn meta(stage: &Stage, root: &Path) -> Result<RawMeta, Error> {
         time_codes_per_second: number("timeCodesPerSecond")?.or(number("framesPerSecond")?),
         render_settings_prim_path: word("renderSettingsPrimPath")?,
         layers,
+        read: ReadCounts::default(),
         reader: "native",
     })
 }
