@@ -39,6 +39,13 @@ pub(super) fn print(summary: &StageSummary, json: bool) -> anyhow::Result<()> {
     };
     list("lights", summary.lights.iter().map(light));
     list("cameras", summary.cameras.iter().cloned());
+    looks(summary);
+    print::warnings(&summary.warnings);
+    Ok(())
+}
+
+/// Materials, images, render settings, flaws and what a job reads.
+fn looks(summary: &StageSummary) {
     list(
         "materials",
         summary.materials.iter().map(|material| {
@@ -84,8 +91,6 @@ pub(super) fn print(summary: &StageSummary, json: bool) -> anyhow::Result<()> {
     if let Some(job) = &summary.job {
         reads(job);
     }
-    print::warnings(&summary.warnings);
-    Ok(())
 }
 
 /// Levels shown; `--json` has one more.

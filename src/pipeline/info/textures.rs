@@ -83,7 +83,7 @@ fn measured(file: PathBuf, used_by: Vec<String>, is_decoded: bool) -> TextureSum
     };
     match probes {
         Ok(probes) if probes.is_empty() => {
-            summary.problem = Some("no tile of it exists".to_owned())
+            summary.problem = Some("no tile of it exists".to_owned());
         }
         Ok(probes) => {
             summary.width = probes.first().map(|probe| probe.width);
