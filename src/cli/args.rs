@@ -32,8 +32,20 @@ pub(super) enum Command {
     )]
     Render(RenderArgs),
     /// Tell what is in a stage, in one screen.
-    #[command(after_help = "Example:\n  surflux info shot.usda --json")]
+    #[command(
+        after_help = "Example:\n  surflux info shot.usda --json\n  surflux info shot.usda --for bake --aov occlusion"
+    )]
     Info(InfoArgs),
+    /// Check a cloud or a bake: lengths, interpolation, extents, units, ids, values; exit code 1 if something is wrong.
+    #[command(
+        after_help = "Example:\n  surflux validate bake/asset_baked.usda --json",
+        mut_arg("stage", |file| file.value_name("FILE").help("A cloud, a layer of baked primvars, or the stage that shows one")),
+        mut_arg("frames", |flag| flag.hide(true)),
+        mut_arg("dome", |flag| flag.hide(true)),
+        mut_arg("mask", |flag| flag.hide(true)),
+        mut_arg("purposes", |flag| flag.hide(true))
+    )]
+    Validate(ValidateArgs),
     /// Measure speed against error: engines and settings against ray-traced truth, on this stage.
     #[command(after_help = "Example:\n  surflux verify shot.usda -o report.html --json")]
     Verify(VerifyArgs),
@@ -230,6 +242,18 @@ pub(super) struct RenderArgs {
 pub(super) struct InfoArgs {
     #[command(flatten)]
     pub(super) stage: StageArgs,
+    /// Tell what such a job would read, and nothing else.
+    #[arg(long = "for", value_enum, value_name = "JOB")]
+    pub(super) job: Option<JobName>,
+    /// AOVs of that job, comma separated.
+    #[arg(long, value_name = "NAME", value_delimiter = ',', requires = "job")]
+    pub(super) aov: Vec<String>,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct ValidateArgs {
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
 }
 
 #[derive(Debug, Args)]
@@ -268,6 +292,13 @@ pub(super) enum UsdDoor {
 pub(super) enum LoadName {
     All,
     None,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum JobName {
+    Points,
+    Bake,
+    Render,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

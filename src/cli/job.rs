@@ -1,14 +1,14 @@
 //! Arguments as typed → a [`Job`] as meant.
 
 use super::args::{
-    BakeArgs, Cli, Command, EngineName, ExrLayout, GatherArgs, InstancesName, InterpolationName,
-    LoadName, OutputArgs, PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor,
-    VerifyArgs,
+    BakeArgs, Cli, Command, EngineName, ExrLayout, GatherArgs, InfoArgs, InstancesName,
+    InterpolationName, JobName, LoadName, OutputArgs, PointsArgs, PurposeName, RenderArgs,
+    StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
-    BakeJob, Dome, EngineChoice, GatherJob, Job, MapsSettings, OutputJob, PointsJob, RenderJob,
-    StageJob, VerifyJob,
+    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, MapsSettings, OutputJob, PointsJob,
+    Purposed, RenderJob, StageJob, VerifyJob,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
@@ -25,6 +25,7 @@ impl Command {
             Self::Bake(args) => &args.stage,
             Self::Render(args) => &args.stage,
             Self::Info(args) => &args.stage,
+            Self::Validate(args) => &args.stage,
             Self::Verify(args) => &args.stage,
         }
     }
@@ -39,7 +40,8 @@ pub(super) fn from_args(cli: Cli, command_line: &[String]) -> anyhow::Result<Job
         Command::Points(args) => Job::Points(points(args, command_line)?),
         Command::Bake(args) => Job::Bake(bake(args, command_line)?),
         Command::Render(args) => Job::Render(render(args, command_line)?),
-        Command::Info(args) => Job::Info(stage(args.stage, command_line)?),
+        Command::Info(args) => Job::Info(info(args, command_line)?),
+        Command::Validate(args) => Job::Validate(stage(args.stage, command_line)?),
         Command::Verify(args) => Job::Verify(verify(args, command_line)?),
     })
 }
@@ -132,14 +134,42 @@ fn points(args: PointsArgs, command_line: &[String]) -> anyhow::Result<PointsJob
     })
 }
 
-fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
+/// Names as typed → AOVs, each once.
+fn aovs(names: &[String]) -> anyhow::Result<Vec<Aov>> {
     let mut aovs: Vec<Aov> = Vec::new();
-    for name in &args.aov {
+    for name in names {
         let aov = name.trim().parse::<Aov>().context("--aov")?;
         if !aovs.contains(&aov) {
             aovs.push(aov);
         }
     }
+    Ok(aovs)
+}
+
+fn info(args: InfoArgs, command_line: &[String]) -> anyhow::Result<InfoJob> {
+    let aovs = aovs(&args.aov)?;
+    let or = |fallback: &[Aov]| match aovs.is_empty() {
+        true => fallback.to_vec(),
+        false => aovs.clone(),
+    };
+    let wanted = match args.job {
+        None => None,
+        Some(JobName::Points) if !aovs.is_empty() => bail!("--for points has no --aov"),
+        Some(JobName::Points) => Some(Purposed::Points),
+        Some(JobName::Bake) => Some(Purposed::Bake(or(&BAKED))),
+        Some(JobName::Render) => Some(Purposed::Render(or(&[Aov::Color]))),
+    };
+    Ok(InfoJob {
+        stage: stage(args.stage, command_line)?,
+        wanted,
+    })
+}
+
+/// What a bake computes where nothing is asked.
+const BAKED: [Aov; 2] = [Aov::Occlusion, Aov::Irradiance];
+
+fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
+    let aovs = aovs(&args.aov)?;
     let has_error = aovs.iter().find(|aov| aov.error_of().is_some());
     let engine = match args.gather {
         EngineName::Paper => Some("paper"),
@@ -193,7 +223,7 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
         .context("bake needs --output DIR/NAME.usdc")?;
     let mut gather = gather(args.gather, args.surfels)?;
     if gather.aovs.is_empty() {
-        gather.aovs = vec![Aov::Occlusion, Aov::Irradiance];
+        gather.aovs = BAKED.to_vec();
     }
     if gather.aovs.contains(&Aov::Depth) {
         bail!("--aov depth: a bake has no camera to measure depth from (use render)");

@@ -12,6 +12,7 @@ mod job;
 mod log_sink;
 mod print;
 pub mod progress;
+mod validate;
 mod verify;
 
 use crate::diagnostics::{CancelToken, Diagnostics};
@@ -102,6 +103,10 @@ fn run(job: &pipeline::Job, settings: &RunSettings) -> anyhow::Result<()> {
     if let pipeline::Job::Info(stage) = job {
         let info = pipeline::info(stage, &diagnostics)?;
         return info::print(&info, settings.json);
+    }
+    if let pipeline::Job::Validate(file) = job {
+        let report = pipeline::validate(file, &diagnostics)?;
+        return validate::print(&report, settings.json, settings.quiet);
     }
     if let pipeline::Job::Verify(job) = job {
         let report = pipeline::verify(job, &diagnostics)?;

@@ -191,6 +191,9 @@ mod tests {
         };
         let (area, _) = cut(&octree, far, near_only);
         // The disk of radius √(5.2² − 5²) on the ceiling has the area 6.4.
-        assert!((4.0..=9.0 * (1.0 + AREA_ROUNDING)).contains(&area), "{area}");
+        assert!(
+            (4.0..=9.0 * (1.0 + AREA_ROUNDING)).contains(&area),
+            "{area}"
+        );
     }
 }

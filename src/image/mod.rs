@@ -8,11 +8,13 @@ mod exr_file;
 mod latlong;
 mod lookup;
 mod package;
+mod probe;
 mod pyramid;
 mod texture;
 
 pub use latlong::Latlong;
 pub use lookup::Image;
+pub use probe::{Probe, probe, tiles};
 pub use texture::Texture;
 
 use std::path::PathBuf;

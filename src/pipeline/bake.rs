@@ -28,6 +28,7 @@ pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Er
     }
     record(&job.gather, &job.gather.aovs, &mut report);
     let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
+    source.expect_loads(job.stage.times().len());
     let mut writer: Option<LayerWriter> = None;
     for time in job.stage.times() {
         with_world(

@@ -108,6 +108,26 @@ impl GatherJob {
     }
 }
 
+/// `surflux info`.
+#[derive(Debug, Clone)]
+pub struct InfoJob {
+    /// The stage.
+    pub stage: StageJob,
+    /// The job whose reading is asked about; `None` = the whole stage.
+    pub wanted: Option<Purposed>,
+}
+
+/// A job as far as its needs go.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Purposed {
+    /// Direct light in a cloud.
+    Points,
+    /// These AOVs at points of meshes.
+    Bake(Vec<Aov>),
+    /// These AOVs in an image.
+    Render(Vec<Aov>),
+}
+
 /// `surflux points`.
 #[derive(Debug, Clone)]
 pub struct PointsJob {
@@ -197,7 +217,9 @@ pub enum Job {
     /// Render an image.
     Render(RenderJob),
     /// Tell.
-    Info(StageJob),
+    Info(InfoJob),
+    /// Look at a cloud or a bake.
+    Validate(StageJob),
     /// Measure speed against error.
     Verify(VerifyJob),
 }

@@ -12,17 +12,22 @@ mod raster;
 mod render;
 mod report;
 mod spacing;
+mod validate;
 mod verify;
 mod view;
 mod world;
 
 pub use crate::gather::maps::MapsSettings;
-pub use info::{GeometrySummary, LightSummary, MaterialSummary, RenderSummary, StageSummary, info};
-pub use job::{
-    BakeJob, Dome, EngineChoice, GatherJob, Job, OutputJob, PointsJob, RenderJob, StageJob,
-    VerifyJob,
+pub use info::{
+    AnimationSummary, BrokenReference, GeometrySummary, JobReads, LightSummary, MaterialSummary,
+    RenderSummary, StageSummary, Suspicion, TextureSummary, TreeEntry, info,
 };
-pub use report::{Counts, ErrorReport, Report, Seconds};
+pub use job::{
+    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OutputJob, PointsJob, Purposed,
+    RenderJob, StageJob, VerifyJob,
+};
+pub use report::{Counts, ErrorReport, ReadReport, Report, Seconds};
+pub use validate::{CheckSummary, ValidationReport, validate};
 pub use verify::verify;
 
 use crate::diagnostics::{Cancelled, Diagnostics};
@@ -101,7 +106,9 @@ pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
         Job::Points(job) => points::run(job, diagnostics),
         Job::Bake(job) => bake::run(job, diagnostics),
         Job::Render(job) => render::run(job, diagnostics),
-        Job::Info(stage) | Job::Verify(VerifyJob { stage, .. }) => Ok(Report::new(&stage.command)),
+        Job::Info(InfoJob { stage, .. })
+        | Job::Validate(stage)
+        | Job::Verify(VerifyJob { stage, .. }) => Ok(Report::new(&stage.command)),
     };
     // An interrupt reaches the worker process too: what it says of its end is no news then.
     let mut report = done.map_err(|error| {

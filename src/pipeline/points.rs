@@ -29,6 +29,7 @@ pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, 
         return Ok(report);
     }
     let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
+    source.expect_loads(job.stage.times().len());
     for (time, path) in &frames {
         with_world(
             source.as_mut(),

@@ -32,6 +32,7 @@ pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, 
         }
     }
     let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
+    source.expect_loads(job.stage.times().len());
     // Without --aov the stage's render settings decide, and they are known only after reading.
     let needs = if job.gather.aovs.is_empty() {
         Needs::ALL

@@ -4,10 +4,12 @@ use super::choice::Choice;
 use super::spacing::Dicing;
 use crate::diagnostics::Warning;
 use crate::gather::ErrorEstimate;
+use crate::image;
 use crate::results::Aov;
+use crate::stage::raw::RawMeta;
 use crate::stage::{self, Source};
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -43,6 +45,44 @@ pub struct Counts {
     pub receivers: usize,
     /// Receivers that were gathered at (not interpolated).
     pub gathered: usize,
+}
+
+/// What was read of the stage, summed over frames; data that all frames share counts once through usd-core.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct ReadReport {
+    /// Layers opened.
+    pub layers: usize,
+    /// Attributes whose values were resolved.
+    pub attributes: usize,
+    /// Bytes of those values.
+    pub bytes: usize,
+    /// Image files read: textures of materials and lights.
+    pub textures: usize,
+    /// Bytes of those files; 0 for images inside packages, whose layers were read anyway.
+    pub texture_bytes: u64,
+    /// The image files, each counted once.
+    #[serde(skip)]
+    pub(super) images: BTreeSet<PathBuf>,
+}
+
+impl ReadReport {
+    /// Count what one frame has read.
+    pub(super) fn add(&mut self, raw: &RawMeta) {
+        self.layers = self.layers.max(raw.layers.len());
+        self.attributes += raw.read.attributes;
+        self.bytes += raw.read.bytes;
+    }
+
+    /// Count `files`, patterns with `<UDIM>` tile by tile, unless they were counted before.
+    pub(super) fn add_images(&mut self, files: impl Iterator<Item = PathBuf>) {
+        for file in files.flat_map(|file| image::tiles(&file)) {
+            if !self.images.contains(&file) {
+                self.textures += 1;
+                self.texture_bytes += std::fs::metadata(&file).map_or(0, |about| about.len());
+                self.images.insert(file);
+            }
+        }
+    }
 }
 
 /// How good the result is.
@@ -95,6 +135,8 @@ pub struct Report {
     pub seconds: Seconds,
     /// Sizes.
     pub counts: Counts,
+    /// What was read.
+    pub read: ReadReport,
     /// Peak resident memory of this process and of the usd-core worker together, if the system tells.
     pub peak_memory_bytes: Option<u64>,
     /// Settings as resolved.
@@ -122,6 +164,7 @@ impl Report {
             usd: String::new(),
             seconds: Seconds::default(),
             counts: Counts::default(),
+            read: ReadReport::default(),
             peak_memory_bytes: None,
             settings: serde_json::Map::new(),
             error: ErrorReport::default(),

@@ -10,6 +10,7 @@ use crate::shading::Shader;
 use crate::stage::{self, ReadSettings, Source};
 use crate::trace::Tracer;
 use glam::{Affine3A, Vec3};
+use std::path::{Path, PathBuf};
 
 /// What a job has to read besides geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,7 +82,10 @@ pub(super) fn with_world<T>(
     let mut seconds = 0.0;
     let mut scene = timed(&mut seconds, || {
         let _phase = diagnostics.phase("read", "stage", 0);
-        stage::read(source, &read_settings(job, time, needs), diagnostics)
+        let settings = read_settings(job, time, needs);
+        let raw = stage::compose(source, &settings, diagnostics)?;
+        report.read.add(&raw.meta);
+        stage::passes::scene(&raw, &settings, diagnostics)
     })?;
     if needs.lights {
         scene.lights.extend(job.dome.as_ref().map(dome_light));
@@ -97,6 +101,10 @@ pub(super) fn with_world<T>(
         lighting: Lighting::new(&shader, LightSamples::default(), diagnostics),
         shader: &shader,
     });
+    let images = shader.images().map(Path::to_owned);
+    report
+        .read
+        .add_images(images.chain(light_images(&scene.lights)));
     report.seconds.read += seconds;
     report.usd.clone_from(&scene.stage.reader);
     report.counts.prims = report.counts.prims.max(scene.prims.len());
@@ -107,6 +115,14 @@ pub(super) fn with_world<T>(
     }
     diagnostics.check()?;
     work(&world, report)
+}
+
+/// Image files that `lights` shine with.
+pub(super) fn light_images(lights: &[Light]) -> impl Iterator<Item = PathBuf> {
+    lights.iter().filter_map(|light| match &light.kind {
+        LightKind::Rect { texture, .. } | LightKind::Dome { texture } => texture.clone(),
+        _ => None,
+    })
 }
 
 /// `--dome` as a light of the scene.

@@ -7,6 +7,7 @@ use crate::diagnostics::Diagnostics;
 use crate::scene::{MaterialId, Prim, PrimId, Scene};
 use glam::Vec3;
 use material::Compiled;
+use std::path::Path;
 use textures::Textures;
 
 /// Albedo of surfaces that have neither a material nor `displayColor`: UsdPreviewSurface's default.
@@ -67,6 +68,11 @@ impl<'a> Shader<'a> {
                 .collect(),
             textures,
         }
+    }
+
+    /// Files of the textures that were decoded.
+    pub fn images(&self) -> impl Iterator<Item = &Path> {
+        self.textures.files()
     }
 
     /// The scene it shades.
@@ -150,7 +156,7 @@ mod tests {
         PrimSource, Primvar, Purpose, StageInfo, TextureRead, UpAxis, Wrap,
     };
     use glam::{Affine2, Affine3A, DVec3, Mat3, Vec2, Vec4};
-    use std::path::{Path, PathBuf};
+    use std::path::PathBuf;
 
     /// A square of side 2 in the XY plane, st from (0, 0) to (1, 1), displayColor as given.
     fn square(display_color: Option<Vec4>) -> Mesh {

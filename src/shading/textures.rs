@@ -80,6 +80,12 @@ impl Textures {
         self.loaded[index].as_ref().map(|_| TextureId(index))
     }
 
+    /// Files of the textures that were decoded.
+    pub(super) fn files(&self) -> impl Iterator<Item = &Path> {
+        let files = self.by_file.iter();
+        files.filter_map(|((file, _), &index)| self.loaded[index].as_ref().map(|_| file.as_path()))
+    }
+
     /// A texture that was found.
     pub(super) fn get(&self, id: TextureId) -> &Texture {
         self.loaded[id.0]

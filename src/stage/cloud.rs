@@ -12,7 +12,7 @@
 //!
 //! One value stands for all, whatever the interpolation says; `varying` and `vertex` are the same on points.
 
-mod file;
+pub(super) mod file;
 mod placement;
 
 use super::Error;
@@ -169,7 +169,7 @@ impl Part<'_> {
             Some(Column::Ints(ids)) => self.expanded("primvars:sourcePrim", ids, count)?,
             _ => return Ok((vec![0; count], vec![self.prim.to_string()])),
         };
-        let paths = self.source_paths();
+        let paths = source_paths(self.file, &self.prim);
         let id = |id: i32| {
             u32::try_from(id)
                 .ok()
@@ -183,20 +183,6 @@ impl Part<'_> {
                 );
                 Ok((vec![0; count], vec![self.prim.to_string()]))
             }
-        }
-    }
-
-    fn source_paths(&self) -> Vec<String> {
-        let entry = |dictionary, key: &str| match dictionary {
-            Some(Value::Dictionary(mut entries)) => entries.remove(key),
-            _ => None,
-        };
-        let custom = self.file.metadata(&self.prim, "customData");
-        match entry(entry(custom, "surflux"), "primPaths") {
-            Some(Value::StringVec(paths)) => paths,
-            // openusd's text parser takes every array of strings in a dictionary for tokens
-            Some(Value::TokenVec(paths)) => paths.into_iter().map(String::from).collect(),
-            _ => Vec::new(),
         }
     }
 
@@ -305,6 +291,21 @@ impl Part<'_> {
         retain(&mut cloud.radius, &useful);
         retain(&mut cloud.area, &useful);
         retain(&mut cloud.prim, &useful);
+    }
+}
+
+/// Paths of the source prims that `primvars:sourcePrim` of `prim` counts.
+pub(super) fn source_paths(file: &File, prim: &SdfPath) -> Vec<String> {
+    let entry = |dictionary, key: &str| match dictionary {
+        Some(Value::Dictionary(mut entries)) => entries.remove(key),
+        _ => None,
+    };
+    let custom = file.metadata(prim, "customData");
+    match entry(entry(custom, "surflux"), "primPaths") {
+        Some(Value::StringVec(paths)) => paths,
+        // openusd's text parser takes every array of strings in a dictionary for tokens
+        Some(Value::TokenVec(paths)) => paths.into_iter().map(String::from).collect(),
+        _ => Vec::new(),
     }
 }
 

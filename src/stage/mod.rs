@@ -7,6 +7,7 @@ pub mod materialx;
 pub mod native;
 pub mod passes;
 pub mod raw;
+pub mod validate;
 pub mod worker;
 
 pub use composition::{Composition, Load, VariantChoice};
@@ -81,11 +82,46 @@ pub trait Source: std::fmt::Debug {
     /// `native` or `usd-core`.
     fn name(&self) -> &'static str;
 
+    /// `count` loads will come: what they share may be kept.
+    fn expect_loads(&mut self, _count: usize) {}
+
+    /// What Pixar's validators say of the whole stage; `None` where this door has none.
+    ///
+    /// # Errors
+    /// When the stage cannot be opened, or the worker fails.
+    fn validate(&mut self, _diagnostics: &Diagnostics) -> Result<Option<UsdVerdict>, Error> {
+        Ok(None)
+    }
+
     /// Peak resident memory, bytes, of a process of its own that the source reads with, if it has one and the system
     /// tells.
     fn peak_memory_bytes(&self) -> Option<u64> {
         None
     }
+}
+
+/// What Pixar's validators say of a stage.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Deserialize)]
+pub struct UsdVerdict {
+    /// Who was asked: `UsdValidation of usd-core 26.11`.
+    pub validators: String,
+    /// How many validators or rules there are.
+    pub count: usize,
+    /// What they complain of.
+    pub complaints: Vec<UsdComplaint>,
+}
+
+/// One complaint of a validator.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Deserialize)]
+pub struct UsdComplaint {
+    /// Name of the error.
+    pub name: String,
+    /// True for an error, false for a warning.
+    pub is_error: bool,
+    /// Prim or property path, `/` for the stage as a whole.
+    pub place: String,
+    /// What is wrong.
+    pub message: String,
 }
 
 /// Open the stage at `path` through `door`.
@@ -151,13 +187,25 @@ pub fn read(
     settings: &ReadSettings,
     diagnostics: &Diagnostics,
 ) -> Result<Scene, Error> {
+    let raw = compose(source, settings, diagnostics)?;
+    passes::scene(&raw, settings, diagnostics)
+}
+
+/// Read `source` at `settings.time` as far as no geometry is made of it: what [`read`] hands to [`passes::scene`].
+///
+/// # Errors
+/// Whatever [`Source::load`] reports.
+pub fn compose(
+    source: &mut dyn Source,
+    settings: &ReadSettings,
+    diagnostics: &Diagnostics,
+) -> Result<RawStage, Error> {
     let raw = source.load(&Request::for_settings(settings), diagnostics)?;
     let raw = match settings.materials {
         true => materialx::graft(raw, diagnostics),
         false => raw,
     };
-    let raw = passes::skinning::pose(raw, diagnostics);
-    passes::scene(&raw, settings, diagnostics)
+    Ok(passes::skinning::pose(raw, diagnostics))
 }
 
 /// Peak resident memory, bytes, of the process `id` (`self` = this one) where `/proc` tells.

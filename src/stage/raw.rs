@@ -217,8 +217,19 @@ pub struct RawMeta {
     pub layers: Vec<String>,
     /// Prims whose payloads are not loaded; neither they nor what is below them is among the stage's prims.
     pub unloaded: Vec<String>,
+    /// What was read for it.
+    pub read: ReadCounts,
     /// `native` or `usd-core`.
     pub reader: &'static str,
+}
+
+/// How much a load read; what an earlier load of the same source has read is not counted again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ReadCounts {
+    /// Attributes whose values were resolved.
+    pub attributes: usize,
+    /// Bytes of their values (of arrays alone through usd-core).
+    pub bytes: usize,
 }
 
 /// A composed stage: active, loaded, defined, non-abstract prims in depth-first order, parents before children.
@@ -354,6 +365,46 @@ pub enum Value {
     MatrixArray(Vec<DMat4>),
     /// token[], string[].
     TokenArray(Vec<String>),
+}
+
+impl Value {
+    /// Number of values of an array; `None` for what is no array.
+    pub fn array_len(&self) -> Option<usize> {
+        Some(match self {
+            Self::IntArray(v) => v.len(),
+            Self::Int64Array(v) => v.len(),
+            Self::FloatArray(v) => v.len(),
+            Self::Vec2Array(v) => v.len(),
+            Self::Vec3Array(v) => v.len(),
+            Self::Vec4Array(v) | Self::QuatArray(v) => v.len(),
+            Self::MatrixArray(v) => v.len(),
+            Self::TokenArray(v) => v.len(),
+            _ => return None,
+        })
+    }
+
+    /// Bytes that the value takes, without the enum around it and what the allocator adds.
+    pub fn bytes(&self) -> usize {
+        match self {
+            Self::Bool(_) => 1,
+            Self::Int(_) | Self::Float(_) => 8,
+            Self::Token(text) => text.len(),
+            Self::Asset { authored, resolved } => authored.len() + resolved.len(),
+            Self::Vec2(_) => size_of::<DVec2>(),
+            Self::Vec3(_) => size_of::<DVec3>(),
+            Self::Vec4(_) => size_of::<DVec4>(),
+            Self::Quat(_) => size_of::<DQuat>(),
+            Self::Matrix(_) => size_of::<DMat4>(),
+            Self::IntArray(v) => size_of_val(&v[..]),
+            Self::Int64Array(v) => size_of_val(&v[..]),
+            Self::FloatArray(v) => size_of_val(&v[..]),
+            Self::Vec2Array(v) => size_of_val(&v[..]),
+            Self::Vec3Array(v) => size_of_val(&v[..]),
+            Self::Vec4Array(v) | Self::QuatArray(v) => size_of_val(&v[..]),
+            Self::MatrixArray(v) => size_of_val(&v[..]),
+            Self::TokenArray(v) => v.iter().map(String::len).sum(),
+        }
+    }
 }
 
 #[cfg(test)]

@@ -15,11 +15,11 @@ const ARCS: [&str; 5] = [
 ];
 
 /// An open layer.
-pub(super) struct File(Box<dyn AbstractData>);
+pub(in crate::stage) struct File(Box<dyn AbstractData>);
 
 /// Values of one attribute of a `Points` prim.
 #[derive(Debug)]
-pub(super) enum Column {
+pub(in crate::stage) enum Column {
     /// Numbers.
     Floats(Vec<f32>),
     /// Vectors; a fourth component was dropped.
@@ -30,7 +30,7 @@ pub(super) enum Column {
 
 impl File {
     /// Open binary or text by content. The error is the parser's.
-    pub(super) fn open(mut file: std::fs::File) -> Result<Self, String> {
+    pub(in crate::stage) fn open(mut file: std::fs::File) -> Result<Self, String> {
         let mut start = [0_u8; 8];
         let is_binary = file.read_exact(&mut start).is_ok() && &start == b"PXR-USDC";
         file.rewind().map_err(|error| error.to_string())?;
@@ -46,7 +46,7 @@ impl File {
     }
 
     /// Paths of all active `Points` prims, sorted.
-    pub(super) fn points(&self) -> Vec<Path> {
+    pub(in crate::stage) fn points(&self) -> Vec<Path> {
         let mut paths = self.0.spec_paths();
         paths.retain(|path| {
             self.0.spec_type(path) == Some(SpecType::Prim)
@@ -59,7 +59,7 @@ impl File {
     }
 
     /// What in the layer points at other layers or prims, so that reading it alone would miss something.
-    pub(super) fn composes(&self) -> Option<String> {
+    pub(in crate::stage) fn composes(&self) -> Option<String> {
         let root = Path::abs_root();
         if self.0.has_field(&root, "subLayers") {
             return Some("it has sublayers".to_owned());
@@ -70,8 +70,111 @@ impl File {
             .map(|(path, arc)| format!("{path} has {arc}"))
     }
 
+    /// Every spec with its kind, in the file's order.
+    pub(in crate::stage) fn specs(&self) -> impl Iterator<Item = (Path, SpecType)> {
+        let paths = self.0.spec_paths().into_iter();
+        paths.filter_map(|path| Some((path.clone(), self.0.spec_type(&path)?)))
+    }
+
+    /// Paths of all attributes.
+    pub(in crate::stage) fn attributes(&self) -> impl Iterator<Item = Path> {
+        let specs = self.specs();
+        specs.filter_map(|(path, kind)| (kind == SpecType::Attribute).then_some(path))
+    }
+
+    /// Names of the attributes of `prim`.
+    pub(in crate::stage) fn attributes_of(&self, prim: &Path) -> Vec<String> {
+        let split = self.attributes().filter_map(|path| {
+            let (of, name) = path.split_property()?;
+            (of == *prim).then(|| name.to_owned())
+        });
+        split.collect()
+    }
+
+    /// Paths of the root prims.
+    pub(in crate::stage) fn roots(&self) -> Vec<String> {
+        let specs = self.specs();
+        let prims = specs.filter(|(path, kind)| *kind == SpecType::Prim && path.is_root_prim());
+        prims.map(|(path, _)| path.as_str().to_owned()).collect()
+    }
+
+    /// Sublayers as authored, strongest first.
+    pub(in crate::stage) fn sublayers(&self) -> Vec<String> {
+        match self.metadata(&Path::abs_root(), "subLayers") {
+            Some(Value::StringVec(layers)) => layers,
+            Some(Value::TokenVec(layers)) => layers.into_iter().map(String::from).collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// True if the layer says something of the prim or property `path`.
+    pub(in crate::stage) fn has(&self, path: &Path) -> bool {
+        self.0.has_spec(path)
+    }
+
+    /// True if the layer authors `field` there.
+    pub(in crate::stage) fn has_field(&self, path: &Path, field: &str) -> bool {
+        self.0.has_field(path, field)
+    }
+
+    /// True if `schema` is applied to `prim`.
+    pub(in crate::stage) fn has_schema(&self, prim: &Path, schema: &str) -> bool {
+        let Some(Value::TokenListOp(schemas)) = self.metadata(prim, "apiSchemas") else {
+            return false;
+        };
+        let lists = [
+            &schemas.explicit_items,
+            &schemas.prepended_items,
+            &schemas.appended_items,
+            &schemas.added_items,
+        ];
+        let mut names = lists.into_iter().flatten();
+        names.any(|name| name.as_str() == schema)
+    }
+
+    /// `interpolation` of an attribute.
+    pub(in crate::stage) fn interpolation(&self, prim: &Path, name: &str) -> Option<String> {
+        let path = prim.append_property(name).ok()?;
+        match self.metadata(&path, "interpolation")? {
+            Value::Token(interpolation) => Some(interpolation.as_str().to_owned()),
+            _ => None,
+        }
+    }
+
+    /// `elementSize` of an attribute: how many array elements one value takes.
+    pub(in crate::stage) fn element_size(&self, prim: &Path, name: &str) -> usize {
+        let path = prim.append_property(name).ok();
+        let size = path.and_then(|path| self.metadata(&path, "elementSize"));
+        match size {
+            Some(Value::Int(size)) => usize::try_from(size).unwrap_or(1).max(1),
+            _ => 1,
+        }
+    }
+
+    /// The default value (time `None`), if any, then all time samples; blocked values are left out.
+    pub(in crate::stage) fn samples(
+        &self,
+        prim: &Path,
+        name: &str,
+    ) -> Result<Vec<(Option<f64>, Value)>, String> {
+        let path = prim
+            .append_property(name)
+            .map_err(|error| error.to_string())?;
+        let field = |field| {
+            let value = self.0.try_field(&path, field);
+            let value = value.map_err(|error| format!("{path}: {error}"));
+            Ok::<_, String>(value?.map(|value| value.into_owned()))
+        };
+        let mut all: Vec<_> = field("default")?.into_iter().map(|v| (None, v)).collect();
+        if let Some(Value::TimeSamples(samples)) = field("timeSamples")? {
+            all.extend(samples.into_iter().map(|(time, v)| (Some(time), v)));
+        }
+        all.retain(|(_, value)| !matches!(value, Value::ValueBlock));
+        Ok(all)
+    }
+
     /// A field of a prim or property.
-    pub(super) fn metadata(&self, path: &Path, field: &str) -> Option<Value> {
+    pub(in crate::stage) fn metadata(&self, path: &Path, field: &str) -> Option<Value> {
         self.0
             .try_field(path, field)
             .ok()
@@ -80,7 +183,7 @@ impl File {
     }
 
     /// Default value of an attribute, else its first time sample; `None` if it has none or is blocked.
-    pub(super) fn value(&self, prim: &Path, name: &str) -> Result<Option<Value>, String> {
+    pub(in crate::stage) fn value(&self, prim: &Path, name: &str) -> Result<Option<Value>, String> {
         let path = prim
             .append_property(name)
             .map_err(|error| error.to_string())?;
@@ -101,7 +204,11 @@ impl File {
     }
 
     /// Values of an attribute as a column, indices resolved; `None` if it has none.
-    pub(super) fn column(&self, prim: &Path, name: &str) -> Result<Option<Column>, String> {
+    pub(in crate::stage) fn column(
+        &self,
+        prim: &Path,
+        name: &str,
+    ) -> Result<Option<Column>, String> {
         let Some(value) = self.value(prim, name)? else {
             return Ok(None);
         };

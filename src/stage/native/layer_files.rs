@@ -21,7 +21,7 @@ const SEARCH_PATH_VARIABLE: &str = "PXR_AR_DEFAULT_SEARCH_PATH";
 const UDIM: &str = "<UDIM>";
 
 /// First bytes of a binary layer.
-const CRATE_MAGIC: &[u8] = b"PXR-USDC";
+pub(super) const CRATE_MAGIC: &[u8] = b"PXR-USDC";
 
 /// What a text layer with inherits or specializes has somewhere.
 const CLASS_WORDS: [&str; 2] = ["inherits", "specializes"];

@@ -112,6 +112,18 @@ impl Source for NativeSource {
     }
 }
 
+/// Whether the crate can be trusted with the layer in `bytes`, binary or text.
+///
+/// # Errors
+/// What is damaged.
+pub(super) fn check_layer(bytes: &[u8]) -> Result<(), String> {
+    if bytes.starts_with(layer_files::CRATE_MAGIC) {
+        return crate_check::check(bytes).map(drop);
+    }
+    let text = std::str::from_utf8(bytes).map_err(|_| "neither binary nor text USD".to_owned())?;
+    text::repaired(text).map(drop)
+}
+
 fn serve(root: &Path, orders: &Receiver<Job>) {
     let mut session = Session::new(root);
     while let Ok(job) = orders.recv() {

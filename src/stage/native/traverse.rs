@@ -4,7 +4,7 @@ use super::OTHER_DOOR;
 use super::layer_files::{EMPTY_SESSION, LayerFiles};
 use super::properties::{Fault, InstanceKey, Properties, Sites, text};
 use crate::diagnostics::{CancelToken, Cancelled, Warning};
-use crate::stage::raw::{RawMeta, RawPrim, RawStage, Request};
+use crate::stage::raw::{RawMeta, RawPrim, RawStage, ReadCounts, Request};
 use crate::stage::{Error, Load};
 use openusd::sdf::{self, FieldKey};
 use openusd::usd::{ClipsAPI, Stage};
@@ -93,10 +93,16 @@ impl<'a> Traversal<'a> {
         for (instance, prototype) in self.instances {
             self.prims[instance].prototype = Some(roots[prototype]);
         }
+        let mut meta = meta(self.stage, root)?;
+        let attributes = self.prims.iter().flat_map(|prim| prim.attributes.values());
+        for value in attributes.filter_map(|attribute| attribute.value.as_ref()) {
+            meta.read.attributes += 1;
+            meta.read.bytes += value.bytes();
+        }
         let raw = RawStage {
             meta: RawMeta {
                 unloaded: self.unloaded,
-                ..meta(self.stage, root)?
+                ..meta
             },
             prims: self.prims,
             prototype_start,
@@ -309,6 +315,7 @@ fn meta(stage: &Stage, root: &Path) -> Result<RawMeta, Error> {
         render_settings_prim_path: word("renderSettingsPrimPath")?,
         layers,
         unloaded: Vec::new(),
+        read: ReadCounts::default(),
         reader: "native",
     })
 }

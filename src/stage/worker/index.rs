@@ -1,7 +1,8 @@
 //! The worker's answer to a load: its JSON index and the flat file of arrays → [`RawStage`].
 
 use super::super::raw::{
-    MaterialxReference, RawAttribute, RawMeta, RawPrim, RawRelationship, RawStage, Value,
+    MaterialxReference, RawAttribute, RawMeta, RawPrim, RawRelationship, RawStage, ReadCounts,
+    Value,
 };
 use bytemuck::Pod;
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
@@ -19,6 +20,10 @@ pub(super) struct Index {
     pub(super) variants: Vec<(String, Vec<String>)>,
     /// The file of arrays; empty when there are none.
     pub(super) arrays: PathBuf,
+    /// False where arrays that do not vary are those of an earlier load.
+    pub(super) fresh: bool,
+    /// Values read.
+    read: usize,
     /// What USD warned of, sorted.
     pub(super) warnings: Vec<String>,
 }
@@ -89,6 +94,17 @@ enum Content {
     Tokens(Vec<String>),
     /// Byte offset, element type, rows, columns.
     Array(usize, String, usize, usize),
+    /// The same, in the file of an earlier load.
+    Kept(usize, String, usize, usize),
+}
+
+/// The files of arrays that an index points into.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Arrays<'a> {
+    /// Of this load.
+    pub(super) new: &'a [u8],
+    /// Of the earlier load that read what does not vary.
+    pub(super) kept: &'a [u8],
 }
 
 /// A float spelled out: `str::parse` rounds correctly and knows `nan` and `inf`, JSON numbers do neither.
@@ -106,14 +122,19 @@ impl TryFrom<String> for Number {
 
 impl Index {
     /// The stage, with arrays copied out of `arrays`. The error says which prim's value does not make sense.
-    pub(super) fn into_stage(self, root: &Path, arrays: &[u8]) -> Result<RawStage, String> {
+    pub(super) fn into_stage(self, root: &Path, arrays: Arrays<'_>) -> Result<RawStage, String> {
+        let mut meta = self.meta.into_raw(root);
+        meta.read = ReadCounts {
+            attributes: self.read,
+            bytes: arrays.new.len(),
+        };
         let prims = self
             .prims
             .into_iter()
             .map(|prim| prim.into_raw(arrays))
             .collect::<Result<_, _>>()?;
         Ok(RawStage {
-            meta: self.meta.into_raw(root),
+            meta,
             prims,
             prototype_start: self.prototype_start,
         })
@@ -134,13 +155,14 @@ impl Meta {
             render_settings_prim_path: self.render_settings_prim_path,
             layers: self.layers,
             unloaded: self.unloaded,
+            read: ReadCounts::default(),
             reader: "usd-core",
         }
     }
 }
 
 impl Prim {
-    fn into_raw(self, arrays: &[u8]) -> Result<RawPrim, String> {
+    fn into_raw(self, arrays: Arrays<'_>) -> Result<RawPrim, String> {
         let path = self.path;
         let attribute = |(name, attribute): (String, Attribute)| {
             let raw = attribute
@@ -180,7 +202,7 @@ impl Prim {
 }
 
 impl Attribute {
-    fn into_raw(self, arrays: &[u8]) -> Result<RawAttribute, String> {
+    fn into_raw(self, arrays: Arrays<'_>) -> Result<RawAttribute, String> {
         Ok(RawAttribute {
             type_name: self.type_name,
             value: self.value.map(|value| value.into_raw(arrays)).transpose()?,
@@ -194,7 +216,7 @@ impl Attribute {
 }
 
 impl Content {
-    fn into_raw(self, arrays: &[u8]) -> Result<Value, String> {
+    fn into_raw(self, arrays: Arrays<'_>) -> Result<Value, String> {
         Ok(match self {
             Self::Bool(value) => Value::Bool(value),
             Self::Int(value) => Value::Int(value),
@@ -209,7 +231,13 @@ impl Content {
             }
             Self::Tokens(values) => Value::TokenArray(values),
             Self::Array(offset, kind, rows, columns) => Slot {
-                arrays,
+                arrays: arrays.new,
+                offset,
+                rows,
+            }
+            .read(&kind, columns)?,
+            Self::Kept(offset, kind, rows, columns) => Slot {
+                arrays: arrays.kept,
                 offset,
                 rows,
             }

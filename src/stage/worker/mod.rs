@@ -11,9 +11,10 @@ mod process;
 
 use super::composition::{self, ChoiceOutcome};
 use super::raw::{RawStage, Request};
-use super::{Composition, Error, Load, Source};
+use super::{Composition, Error, Load, Source, UsdVerdict};
 use crate::diagnostics::Diagnostics;
-use index::Index;
+use index::{Arrays, Index};
+use memmap2::Mmap;
 use process::{Failure, Process};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -36,6 +37,10 @@ pub struct WorkerSource {
     process: Process,
     /// Where the worker may leave its file of arrays, best first; removed with this source.
     scratch: Vec<TempDir>,
+    /// Several loads will come that differ in time only.
+    keeps: bool,
+    /// Arrays of the first of them.
+    kept: Option<Mmap>,
 }
 
 impl WorkerSource {
@@ -71,6 +76,8 @@ impl WorkerSource {
             interpreter: interpreter.to_owned(),
             process: started(interpreter, diagnostics)?,
             scratch,
+            keeps: false,
+            kept: None,
         };
         let folders: Vec<_> = source.scratch.iter().map(TempDir::path).collect();
         let request = json!({"open": path, "scratch": folders});
@@ -104,13 +111,25 @@ impl WorkerSource {
         }
     }
 
-    fn stage_of(&self, index: Index) -> Result<RawStage, String> {
-        if index.arrays.as_os_str().is_empty() {
-            return index.into_stage(&self.path, &[]);
+    fn stage_of(&mut self, index: Index) -> Result<RawStage, String> {
+        let path = &index.arrays;
+        let map = match path.as_os_str().is_empty() {
+            true => None,
+            false => Some(
+                map::map_and_remove(path)
+                    .map_err(|error| format!("cannot map {}: {error}", path.display()))?,
+            ),
+        };
+        let is_fresh = index.fresh;
+        let arrays = Arrays {
+            new: map.as_deref().unwrap_or_default(),
+            kept: self.kept.as_deref().unwrap_or_default(),
+        };
+        let stage = index.into_stage(&self.path, arrays)?;
+        if is_fresh {
+            self.kept = map.filter(|_| self.keeps);
         }
-        let map = map::map_and_remove(&index.arrays)
-            .map_err(|error| format!("cannot map {}: {error}", index.arrays.display()))?;
-        index.into_stage(&self.path, &map)
+        Ok(stage)
     }
 }
 
@@ -122,6 +141,7 @@ impl Source for WorkerSource {
             "attributes": request.attributes,
             "values_not_needed": request.values_not_needed,
             "composition": spelled(&request.composition),
+            "keep": self.keeps,
         }});
         let index: Index = self
             .process
@@ -148,6 +168,15 @@ impl Source for WorkerSource {
 
     fn name(&self) -> &'static str {
         "usd-core"
+    }
+
+    fn validate(&mut self, diagnostics: &Diagnostics) -> Result<Option<UsdVerdict>, Error> {
+        let asked = self.process.ask(&json!({"validate": {}}), diagnostics);
+        asked.map(Some).map_err(|failure| self.error(failure))
+    }
+
+    fn expect_loads(&mut self, count: usize) {
+        self.keeps = count > 1;
     }
 
     fn peak_memory_bytes(&self) -> Option<u64> {

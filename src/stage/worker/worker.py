@@ -3,7 +3,11 @@
 Requests (one JSON object a line on stdin):
   {"open": PATH, "scratch": [FOLDER, ...]}
   {"load": {"time": NUMBER|null, "mask": [PATH], "attributes": [NAME|PREFIX*], "values_not_needed": [...],
-            "composition": {"load": "all"|"none", "variants": [[PRIM, SET, CHOICE]], "session": PATH|null, "muted": [ID]}}}
+            "composition": {"load": "all"|"none", "variants": [[PRIM, SET, CHOICE]], "session": PATH|null, "muted": [ID]},
+            "keep": BOOL}}
+ With "keep", loads that differ in time only read again what varies; the other arrays are named by their place in the
+ file of the first of them ("kept" instead of "array").
+   {"validate": {}}
 Replies (one line on stdout each): {"ok": ...} or {"error": MESSAGE}; the very first line says what was imported.
 All numbers keep the memory order of USD: a row-vector matrix read as columns is its transpose.
 """
@@ -192,13 +196,15 @@ def matcher(patterns):
 class Loader:
     """One load: walks a stage and fills the index and the arrays."""
 
-    def __init__(self, stage, request):
+    def __init__(self, stage, time, request):
         self.stage = stage
-        time = request["time"]
         self.time = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
         self.wants = matcher(request["attributes"])
         self.name_only = matcher(request["values_not_needed"])
         self.arrays = Arrays()
+        self.values = 0  # read so far in this load
+        self.varying = []  # (attribute, name, entry) of what has to be read anew at another time
+        self.is_settled = False
         self.prims = []
         # Prototype paths are numbered anew in order of first use: usd-core's own numbers may differ between runs.
         self.prototypes = []
@@ -223,6 +229,25 @@ class Loader:
                 if "connections" in attribute:
                     attribute["connections"] = [self.stage_path(path) for path in attribute["connections"]]
         return stage_prims
+
+    def move_to(self, time):
+        """Read again, at `time`, what varies; everything else stays as it is."""
+        if not self.is_settled:
+            for prim in self.prims:
+                for entry in prim.get("attributes", {}).values():
+                    value = entry.get("value")
+                    if value and "array" in value:
+                        value["kept"] = value.pop("array")
+            self.is_settled = True
+        self.time = Usd.TimeCode(time)
+        self.arrays = Arrays()
+        self.values = 0
+        for attribute, name, entry in self.varying:
+            value = self.value(attribute, attribute.GetTypeName().isArray)
+            if value is None:
+                entry.pop("value", None)
+            else:
+                entry["value"] = value
 
     def walk_range(self, prim_range):
         parents = []  # indices of the ancestors of the prim at hand
@@ -324,6 +349,8 @@ class Loader:
                 entry["value"] = value
             elif attribute.GetNumTimeSamples():
                 entry["varying"] = True
+            if "varying" in entry:
+                self.varying.append((attribute, name, entry))
         return entry
 
     def value(self, attribute, is_array):
@@ -333,6 +360,7 @@ class Loader:
         value = attribute.Get(self.time)
         if value is None:
             return None
+        self.values += 1
         if is_array:
             return array_value(value, self.arrays)
         if isinstance(value, Sdf.AssetPath):
@@ -350,6 +378,7 @@ class Worker:
         self.root = None
         self.scratch = []
         self.stages = {}
+        self.kept = None  # (what was asked for, loader, number of prims outside prototypes)
         self.delegate = UsdUtils.CoalescingDiagnosticDelegate()
 
     def open(self, request):
@@ -441,9 +470,19 @@ class Worker:
     def load(self, request):
         composition = request["composition"]
         stage = self.stage(request["mask"], composition)
-        loader = Loader(stage, request)
-        stage_prims = loader.walk()
+        time = request.pop("time")
+        key = None if time is None or not request["keep"] else json.dumps(request, sort_keys=True)
+        is_fresh = key is None or self.kept is None or self.kept[0] != key
+        if is_fresh:
+            loader = Loader(stage, time, request)
+            stage_prims = loader.walk()
+            self.kept = (key, loader, stage_prims) if key else None
+        else:
+            _, loader, stage_prims = self.kept
+            loader.move_to(time)
         return {
+            "fresh": is_fresh,
+            "read": loader.values,
             "meta": stage_meta(stage),
             "variants": [self.variant_outcome(stage, *choice) for choice in composition["variants"]],
             "prims": loader.prims,
@@ -452,12 +491,60 @@ class Worker:
             "size": loader.arrays.size,
         }
 
+    def validate(self):
+        """What USD's own validators say of the whole stage."""
+        version = ".".join(str(part) for part in Usd.GetVersion()[1:])
+        try:
+            from pxr import UsdValidation
+        except ImportError:  # before usd-core 25
+            return self.check_compliance(version)
+        stage = Usd.Stage.Open(self.root, Usd.Stage.LoadAll)
+        validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+        complaints = []
+        for error in UsdValidation.ValidationContext(validators).Validate(stage):
+            sites = list(error.GetSites())
+            objects = [site.GetProperty() if site.IsProperty() else site.GetPrim() for site in sites if site.IsValid()]
+            places = [str(item.GetPath()) for item in objects if item]
+            complaints.append(
+                {
+                    "name": str(error.GetName()),
+                    "is_error": error.GetType() == UsdValidation.ValidationErrorType.Error,
+                    "place": places[0] if places else "/",
+                    "message": " ".join(error.GetMessage().split()),
+                }
+            )
+        return {
+            "validators": "UsdValidation of usd-core " + version,
+            "count": len(validators),
+            "complaints": complaints,
+        }
+
+    def check_compliance(self, version):
+        checker = UsdUtils.ComplianceChecker(skipARKitRootLayerCheck=True)
+        checker.CheckCompliance(self.path)
+        found = [(text, True) for text in checker.GetErrors() + checker.GetFailedChecks()]
+        found += [(text, False) for text in checker.GetWarnings()]
+        complaints = [
+            {"name": "ComplianceChecker", "is_error": is_error, "place": "/", "message": " ".join(text.split())}
+            for text, is_error in found
+        ]
+        return {
+            "validators": "UsdUtils.ComplianceChecker of usd-core " + version,
+            "count": 1,
+            "complaints": complaints,
+        }
+
     def warnings(self):
         return sorted({item.commentary.strip() for item in self.delegate.TakeUncoalescedDiagnostics()})
 
     def answer(self, request):
         try:
-            result = self.open(request) if "open" in request else self.load(request["load"])
+            if "open" in request:
+                result = self.open(request)
+            elif "validate" in request:
+                result = self.validate()
+            else:
+                result = self.load(request["load"])
             result["warnings"] = self.warnings()
             return {"ok": result}
         except Tf.ErrorException as problem:

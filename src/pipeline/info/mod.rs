@@ -1,12 +1,23 @@
 //! What is in a stage: the TD's first look.
 
+mod flaws;
+mod textures;
+mod tree;
+
+pub use flaws::{BrokenReference, Suspicion};
+pub use textures::TextureSummary;
+pub use tree::{AnimationSummary, TreeEntry};
+
+use super::Error;
+use super::job::{InfoJob, Purposed};
 use super::world::{Needs, read_settings};
-use super::{Error, StageJob};
 use crate::diagnostics::{Diagnostics, Warning};
 use crate::scene::{Input, Light, LightKind, Material, PrimSource, Scene};
 use crate::stage;
+use crate::stage::raw::RawStage;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 /// A stage in numbers and names.
 #[derive(Debug, Clone, Serialize)]
@@ -33,6 +44,10 @@ pub struct StageSummary {
     pub layers: usize,
     /// World bounds: lower, upper corner, stage units; none for a stage without surfaces.
     pub bounds: Option<[[f64; 3]; 2]>,
+    /// What counts, by place: parents before children, most of the stage's depth left out.
+    pub tree: Vec<TreeEntry>,
+    /// What moves.
+    pub animation: AnimationSummary,
     /// Surfaces.
     pub geometry: GeometrySummary,
     /// Lights.
@@ -41,12 +56,44 @@ pub struct StageSummary {
     pub cameras: Vec<String>,
     /// Materials and their textures.
     pub materials: Vec<MaterialSummary>,
+    /// Image files of materials and lights, with their sizes.
+    pub textures: Vec<TextureSummary>,
     /// Render settings and their products.
     pub render_settings: Vec<RenderSummary>,
+    /// References and payloads whose layers or prims do not exist.
+    pub broken_references: Vec<BrokenReference>,
+    /// Units, sizes and intensities that are rarely meant.
+    pub suspicions: Vec<Suspicion>,
+    /// What the job of `--for` would read; everything above is then what it would see.
+    pub job: Option<JobReads>,
     /// Seconds it took to read.
     pub seconds: f64,
     /// What surflux cannot use, and with what consequence.
     pub warnings: Vec<Warning>,
+}
+
+/// What a job would read.
+#[derive(Debug, Clone, Serialize)]
+pub struct JobReads {
+    /// `points`, `bake` or `render`.
+    #[serde(rename = "for")]
+    pub purpose: &'static str,
+    /// Its AOVs.
+    pub aov: Vec<&'static str>,
+    /// True if materials are read.
+    pub materials: bool,
+    /// True if lights are read.
+    pub lights: bool,
+    /// Layers that are opened.
+    pub layers: Vec<String>,
+    /// Image files that are decoded.
+    pub textures: Vec<PathBuf>,
+    /// Bytes of those files.
+    pub texture_bytes: u64,
+    /// Attributes whose values are resolved at one frame.
+    pub attributes: usize,
+    /// Bytes of those values.
+    pub bytes: usize,
 }
 
 /// Surfaces of a stage.
@@ -105,17 +152,62 @@ pub struct RenderSummary {
 ///
 /// # Errors
 /// Whatever reading reports.
-pub fn info(job: &StageJob, diagnostics: &Diagnostics) -> Result<StageSummary, Error> {
+pub fn info(job: &InfoJob, diagnostics: &Diagnostics) -> Result<StageSummary, Error> {
     let start = std::time::Instant::now();
+    let needs = needs(job);
+    let InfoJob { stage: job, wanted } = job;
     let phase = diagnostics.phase("read", "stage", 0);
     let mut source = stage::open(&job.path, job.door, diagnostics)?;
-    let settings = read_settings(job, job.times()[0], Needs::ALL);
-    let scene = stage::read(source.as_mut(), &settings, diagnostics)?;
+    let settings = read_settings(job, job.times()[0], needs);
+    let raw = stage::compose(source.as_mut(), &settings, diagnostics)?;
+    let scene = stage::passes::scene(&raw, &settings, diagnostics)?;
     drop(phase);
     let mut summary = summarize(&scene);
+    summary.tree = tree::of(&raw);
+    summary.animation = tree::animation(&raw);
+    summary.textures = textures::of(&scene);
+    textures::warn_of_missing(&summary.textures, diagnostics);
+    summary.suspicions = flaws::suspicions(&raw, &scene);
+    summary.job = wanted
+        .as_ref()
+        .map(|wanted| job_reads(wanted, needs, &raw, &summary.textures));
     summary.seconds = start.elapsed().as_secs_f64();
     summary.warnings = diagnostics.warnings();
+    summary.broken_references = flaws::broken_references(&summary.warnings);
     Ok(summary)
+}
+
+/// What the job asked about reads; without one, everything.
+fn needs(job: &InfoJob) -> Needs {
+    match &job.wanted {
+        Some(Purposed::Bake(aovs) | Purposed::Render(aovs)) => Needs::of(aovs),
+        Some(Purposed::Points) | None => Needs::ALL,
+    }
+}
+
+fn job_reads(
+    wanted: &Purposed,
+    needs: Needs,
+    raw: &RawStage,
+    textures: &[TextureSummary],
+) -> JobReads {
+    let (purpose, aovs) = match wanted {
+        Purposed::Points => ("points", &[][..]),
+        Purposed::Bake(aovs) => ("bake", &aovs[..]),
+        Purposed::Render(aovs) => ("render", &aovs[..]),
+    };
+    let decoded = || textures.iter().filter(|texture| texture.is_decoded);
+    JobReads {
+        purpose,
+        aov: aovs.iter().map(|aov| aov.name()).collect(),
+        materials: needs.materials,
+        lights: needs.lights,
+        layers: raw.meta.layers.clone(),
+        textures: decoded().map(|texture| texture.file.clone()).collect(),
+        texture_bytes: decoded().filter_map(|texture| texture.bytes).sum(),
+        attributes: raw.meta.read.attributes,
+        bytes: raw.meta.read.bytes,
+    }
 }
 
 fn summarize(scene: &Scene) -> StageSummary {
@@ -134,6 +226,8 @@ fn summarize(scene: &Scene) -> StageSummary {
         time: stage.time,
         layers: stage.layers.len(),
         bounds: (!bounds.is_empty()).then(|| [corner(bounds.min), corner(bounds.max)]),
+        tree: Vec::new(),
+        animation: AnimationSummary::default(),
         geometry: geometry(scene),
         lights: scene.lights.iter().map(light).collect(),
         cameras: scene
@@ -142,7 +236,11 @@ fn summarize(scene: &Scene) -> StageSummary {
             .map(|camera| camera.path.clone())
             .collect(),
         materials: scene.materials.iter().map(material).collect(),
+        textures: Vec::new(),
         render_settings: scene.render_settings.iter().map(render).collect(),
+        broken_references: Vec::new(),
+        suspicions: Vec::new(),
+        job: None,
         seconds: 0.0,
         warnings: Vec::new(),
     }
