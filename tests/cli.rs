@@ -514,7 +514,8 @@ fn a_tolerance_is_met_by_maps_and_rays_alike_and_covers_the_surfels() {
         assert_eq!(estimate > 0.05, told, "{report}");
         assert!(engine == "maps" || !told, "rays can always do it: {report}");
     }
-    // The usual surfels are as fine as the tolerance asks for; few of them, asked for by name, are not, and it is told.
+    // Surfels are as fine as the tolerance asks for; those of few, asked for by name, are so wide that most hits are too
+    // near to read them, and are lit anew.
     let error = |surfels: &[&str]| {
         let mut args = vec!["bake", ROOM, "-o", output, "--aov", "irradiance_indirect"];
         args.extend("--usd native --tolerance 0.02 --json".split(' '));
@@ -528,7 +529,7 @@ fn a_tolerance_is_met_by_maps_and_rays_alike_and_covers_the_surfels() {
         surfels
     };
     let (usual, few) = (error(&[]), error(&["--surfels", "300"]));
-    assert!(usual <= 0.6 * 0.02 && few > usual, "{usual} {few}");
+    assert!(usual.max(few) <= 0.6 * 0.02, "{usual} {few}");
 }
 
 #[test]
