@@ -243,7 +243,7 @@ const OPENING: &str = "from pxr import Sdf
 Sdf.Layer.FindOrOpen = lambda *a: stop()";
 
 const LOADING: &str = "from pxr import Usd
-Usd.Stage.Open = lambda *a: stop()";
+Usd.Stage.OpenMasked = lambda *a: stop()";
 
 /// A run whose worker has stopped at `when`, and its processes.
 fn stopped(when: &str) -> (Run, Vec<u32>) {
