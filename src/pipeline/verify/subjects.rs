@@ -4,13 +4,13 @@ use super::super::Error;
 use super::super::choice::{self, Choice, Chosen, PAPER_KNOBS, paper_knobs};
 use super::super::gather::Stand;
 use super::super::maps::{self, MapsKnobs, Promise};
-use super::super::raster::RASTER_KNOBS;
+use super::super::raster::{RASTER_KNOBS, RasterMethod};
 use super::super::world::World;
 use crate::diagnostics::{Cancelled, Diagnostics};
-use crate::gather::GatherScene;
 use crate::gather::maps::{MapsSettings, supports};
+use crate::gather::{ErrorEstimate, GatherScene, RaysEngine};
 use crate::lighting::{LightSamples, Lighting};
-use crate::pilot::{Knobs, Method};
+use crate::pilot::{Check, Knobs, Method};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use crate::verify::{Auto, Sees, Subject};
@@ -191,6 +191,33 @@ impl Method for Relit<'_> {
     }
 }
 
+/// The raster engine, and rays that do it again where it breaks what the pilot foretold, as in a run.
+#[derive(Debug)]
+struct Promised<'a> {
+    raster: RasterMethod<'a>,
+    rays: RaysEngine<'a>,
+    check: Option<Check>,
+    tolerance: f64,
+}
+
+impl Method for Promised<'_> {
+    fn gather(
+        &self,
+        scene: GatherScene<'_>,
+        receivers: &Receivers,
+        aovs: &[Aov],
+        diagnostics: &Diagnostics,
+    ) -> Result<Results, Cancelled> {
+        let found = self.raster.gather(scene, receivers, aovs, diagnostics)?;
+        let errors = self.check.as_ref().map(|check| check.errors(&found));
+        let breaks = |error: ErrorEstimate| error.relative_rmse > self.tolerance;
+        if errors.into_iter().flatten().any(breaks) {
+            return self.rays.gather(scene, receivers, aovs, diagnostics);
+        }
+        Ok(found)
+    }
+}
+
 /// What `--tolerance` picks for all of `stand`'s receivers.
 pub(super) fn auto<'s>(
     stand: &'s Stand<'_>,
@@ -209,8 +236,13 @@ pub(super) fn auto<'s>(
     let (engine, knobs, method): (_, _, Box<dyn Method + 's>) = match choice.engine {
         Chosen::Raster(knobs) => {
             let rays = outcome.rays.unwrap_or(1);
-            let method = Box::new(stand.raster(knobs, rays));
-            ("raster", paper_knobs(knobs), method)
+            let method = Promised {
+                raster: stand.raster(knobs, rays),
+                rays: stand.rays_with(stand.rays_settings(rays)),
+                check: outcome.check.clone(),
+                tolerance,
+            };
+            ("raster", paper_knobs(knobs), Box::new(method))
         }
         Chosen::Paper(knobs) => ("paper", paper_knobs(knobs), Box::new(stand.paper(knobs))),
         Chosen::Rays(rays) => (
