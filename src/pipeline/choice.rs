@@ -4,7 +4,7 @@ use super::Error;
 use super::gather::{Light, Stand};
 use super::job::{EngineChoice, GatherJob};
 use super::maps::{MapsKnobs, MapsMethod, Promise};
-use super::raster::{self, RASTER_KNOBS};
+use super::raster;
 use super::report::{Report, timed};
 use super::world::World;
 use crate::diagnostics::Diagnostics;
@@ -211,6 +211,10 @@ pub(super) fn choose(
 /// Rays of a run whose AOVs do not depend on them.
 const FEWEST_RAYS: u32 = 16;
 
+/// Settings of the raster engine that a pilot tries: none as long as borders between its groups can be seen where light
+/// changes fast, though errors are within the tolerance (floor of a Cornell box in the shadow of a ball).
+const TRIED_RASTER_KNOBS: [(f32, u32); 0] = [];
+
 /// Everything but rays that can do the job, settings of one engine next to each other, cheap ones first.
 fn rivals(stand: &Stand<'_>) -> Vec<Chosen> {
     // Without surfels there is nothing to rasterize, and dicing for it would cost more than rays do.
@@ -222,7 +226,7 @@ fn rivals(stand: &Stand<'_>) -> Vec<Chosen> {
     let lighting = stand.scene().lighting;
     let asks_open = (stand.aovs.iter()).any(|&aov| raster::asks_open(aov, lighting));
     let is_baked = matches!(stand.light(), Light::Baked(_));
-    let raster = (RASTER_KNOBS.iter()).filter(|_| is_baked && !asks_open);
+    let raster = (TRIED_RASTER_KNOBS.iter()).filter(|_| is_baked && !asks_open);
     (raster.map(|&knobs| Chosen::Raster(knobs)))
         .chain(PAPER_KNOBS.iter().map(|&knobs| Chosen::Paper(knobs)))
         .collect()

@@ -9,7 +9,7 @@ use crate::pilot::Method;
 use crate::receivers::Receivers;
 use crate::results::{Aov, AovBuffer, Results};
 
-/// Settings that a pilot tries and a sweep shows, cheap ones first: solid angle and resolution.
+/// Settings that a sweep shows, cheap ones first: solid angle and resolution.
 pub(super) const RASTER_KNOBS: [(f32, u32); 5] =
     [(0.4, 6), (0.4, 12), (0.2, 12), (0.1, 12), (0.1, 24)];
 
