@@ -54,6 +54,16 @@ pub(super) struct Promise {
     pub(super) tolerance: f64,
 }
 
+impl Promise {
+    /// True if `results` of the whole run err no more than the tolerance allows.
+    pub(super) fn is_kept_by(&self, results: &Results) -> bool {
+        let errors = self.check.errors(results);
+        errors
+            .iter()
+            .all(|error| error.relative_rmse <= self.tolerance)
+    }
+}
+
 impl<'a> MapsMethod<'a> {
     /// With a promise, the finest maps and then rays compute again what maps computed where these break it; receivers are
     /// then those of the whole run.
@@ -155,12 +165,7 @@ impl<'a> MapsMethod<'a> {
     }
 
     fn keeps_promise(&self, seen: &Results) -> bool {
-        let keeps = |promise: &Promise| {
-            let errors = promise.check.errors(seen);
-            errors
-                .iter()
-                .all(|error| error.relative_rmse <= promise.tolerance)
-        };
+        let keeps = |promise: &Promise| promise.is_kept_by(seen);
         self.promise.as_ref().is_none_or(keeps)
     }
 }

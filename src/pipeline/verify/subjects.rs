@@ -8,9 +8,9 @@ use super::super::raster::{RASTER_KNOBS, RasterMethod};
 use super::super::world::World;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::maps::{MapsSettings, supports};
-use crate::gather::{ErrorEstimate, GatherScene, RaysEngine};
+use crate::gather::{GatherScene, RaysEngine};
 use crate::lighting::{LightSamples, Lighting};
-use crate::pilot::{Check, Knobs, Method};
+use crate::pilot::{Knobs, Method};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use crate::verify::{Auto, Sees, Subject};
@@ -196,8 +196,7 @@ impl Method for Relit<'_> {
 struct Promised<'a> {
     raster: RasterMethod<'a>,
     rays: RaysEngine<'a>,
-    check: Option<Check>,
-    tolerance: f64,
+    promise: Option<Promise>,
 }
 
 impl Method for Promised<'_> {
@@ -209,12 +208,12 @@ impl Method for Promised<'_> {
         diagnostics: &Diagnostics,
     ) -> Result<Results, Cancelled> {
         let found = self.raster.gather(scene, receivers, aovs, diagnostics)?;
-        let errors = self.check.as_ref().map(|check| check.errors(&found));
-        let breaks = |error: ErrorEstimate| error.relative_rmse > self.tolerance;
-        if errors.into_iter().flatten().any(breaks) {
-            return self.rays.gather(scene, receivers, aovs, diagnostics);
+        match &self.promise {
+            Some(promise) if !promise.is_kept_by(&found) => {
+                self.rays.gather(scene, receivers, aovs, diagnostics)
+            }
+            _ => Ok(found),
         }
-        Ok(found)
     }
 }
 
@@ -233,14 +232,14 @@ pub(super) fn auto<'s>(
             / stand.receivers.len().max(1) as f64,
     };
     let choice = Choice::of(&outcome, stand);
+    let promise = (outcome.check.clone()).map(|check| Promise { check, tolerance });
     let (engine, knobs, method): (_, _, Box<dyn Method + 's>) = match choice.engine {
         Chosen::Raster(knobs) => {
             let rays = outcome.rays.unwrap_or(1);
             let method = Promised {
                 raster: stand.raster(knobs, rays),
                 rays: stand.rays_with(stand.rays_settings(rays)),
-                check: outcome.check.clone(),
-                tolerance,
+                promise,
             };
             ("raster", paper_knobs(knobs), Box::new(method))
         }
@@ -251,10 +250,6 @@ pub(super) fn auto<'s>(
             Box::new(stand.rays_with(stand.rays_settings(rays))),
         ),
         Chosen::Maps(knobs) => {
-            let promise = outcome
-                .check
-                .clone()
-                .map(|check| Promise { check, tolerance });
             let method = Box::new(stand.maps(&knobs, promise));
             ("maps", maps::names(&knobs), method)
         }
