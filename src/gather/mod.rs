@@ -93,6 +93,19 @@ pub trait Engine: Sync + Debug {
         BLOCK
     }
 
+    /// Look at all of `receivers` before any block is seen, where what one sees is found out together with others: an
+    /// engine that knows the answers. `None`: every block is seen for itself.
+    ///
+    /// # Errors
+    /// When cancelled.
+    fn survey(
+        &self,
+        _receivers: &Receivers,
+        _diagnostics: &Diagnostics,
+    ) -> Result<Option<Box<dyn Engine + '_>>, Cancelled> {
+        Ok(None)
+    }
+
     /// True if a block is seen the faster the nearer to each other its receivers are: [`gather`] then hands neighbors
     /// over together, in receivers of their own. What one sees must not depend on the others beyond the engine's error.
     fn gains_from_neighbors(&self) -> bool {
@@ -135,6 +148,11 @@ pub fn gather(
     diagnostics: &Diagnostics,
 ) -> Result<Results, Cancelled> {
     let work = Work::plan(scene, aovs);
+    let surveyed = match work.hemisphere {
+        true => engine.survey(receivers, diagnostics)?,
+        false => None,
+    };
+    let engine = surveyed.as_deref().unwrap_or(engine);
     let phase = diagnostics.phase("gather", "receivers", receivers.len() as u64);
     let mut results = empty_results(aovs, receivers.len());
     let order = (work.gains_from_neighbors(engine))

@@ -6,8 +6,11 @@ use crate::gather::{self, estimate::spread};
 use crate::pilot::{Candidate, Method, check};
 use crate::receivers::Receivers;
 
-/// Groups looked at, each around another one of the pilot's receivers: 3072 receivers of the run.
+/// Groups looked at, each around another one of the pilot's receivers: 6144 receivers of the run.
 const GROUPS: usize = 48;
+
+/// Receivers of a group: as many as share their work, and as many again around them.
+const GROUP: usize = 2 * gather::BLOCK;
 
 /// Whole groups of neighbors.
 pub(super) struct Groups {
@@ -27,13 +30,13 @@ impl Groups {
             place_of[i] = place;
         }
         let few = spread(picks.len(), GROUPS.min(picks.len()));
-        let group = |&k: &usize| place_of[picks[k]] / gather::BLOCK;
+        let group = |&k: &usize| place_of[picks[k]] / GROUP;
         let mut groups: Vec<usize> = few.iter().map(group).collect();
         groups.sort_unstable();
         groups.dedup();
         let members = |group: &usize| {
-            let start = group * gather::BLOCK;
-            start..(start + gather::BLOCK).min(order.len())
+            let start = group * GROUP;
+            start..(start + GROUP).min(order.len())
         };
         let chosen: Vec<usize> = groups.iter().flat_map(members).map(|p| order[p]).collect();
         let place = |k: &usize| chosen.iter().position(|&i| i == picks[*k]);
@@ -89,7 +92,7 @@ mod tests {
         let all = receivers_at(&places);
         let picks = spread(all.len(), 200);
         let groups = Groups::around(&all, &picks);
-        assert!(groups.places.len() == GROUPS && groups.receivers.len() > 2_000);
+        assert!(groups.places.len() == GROUPS && groups.receivers.len() > 3_000);
         for (&k, &place) in groups.few.iter().zip(&groups.places) {
             assert_eq!(groups.receivers.position[place], all.position[picks[k]]);
         }
