@@ -211,8 +211,8 @@ pub(super) fn choose(
 /// Rays of a run whose AOVs do not depend on them.
 const FEWEST_RAYS: u32 = 16;
 
-/// Settings of the raster engine that a pilot tries: none as long as borders between its groups can be seen where light
-/// changes fast, though errors are within the tolerance (floor of a Cornell box in the shadow of a ball).
+/// Settings of the raster engine that a pilot tries: none. Of a Cornell box with two balls a pilot took rays at 5 and at 2 %
+/// all the same, and trying the others cost it more than that can save.
 const TRIED_RASTER_KNOBS: [(f32, u32); 0] = [];
 
 /// Everything but rays that can do the job, settings of one engine next to each other, cheap ones first.
