@@ -1,8 +1,10 @@
 //! Where rays read the radiance of what they hit: the surfels, or the light found anew at hits too near for these.
 
 use super::at_hits::HitLight;
+use crate::math::sequence;
+use crate::receivers::Receivers;
 use crate::surfels::{DiceMap, NearestMap, SurfelCloud};
-use crate::trace::Hit;
+use crate::trace::{Hit, Tracer};
 use glam::{DVec3, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
@@ -70,7 +72,42 @@ pub enum RadianceSource<'a> {
     Loaded(Vec<LoadedCloud<'a>>),
 }
 
+/// Rays a receiver that [`RadianceSource::relit_share`] looks along.
+const SHARE_RAYS: u32 = 32;
+
 impl RadianceSource<'_> {
+    /// Share of the rays from `receivers` that meet something to be lit anew, 0…1: what sets their cost apart.
+    pub fn relit_share(&self, tracer: &Tracer, receivers: &Receivers) -> f64 {
+        let is_relit = |(origin, direction)| {
+            let hit = tracer.closest(origin, direction, f32::INFINITY);
+            hit.is_some_and(|hit| self.is_relit(&hit))
+        };
+        let rays = (0..receivers.len()).flat_map(|i| {
+            let origin = tracer.lift(receivers.position[i], receivers.geometric_normal[i]);
+            let frame = sequence::transported_frame(receivers.normal[i]);
+            (0..SHARE_RAYS).map(move |ray| {
+                let place = sequence::fibonacci(ray, SHARE_RAYS);
+                (origin, frame.to_world(sequence::cosine_hemisphere(place)))
+            })
+        });
+        let count = receivers.len().max(1) as f64 * f64::from(SHARE_RAYS);
+        rays.filter(|&ray| is_relit(ray)).count() as f64 / count
+    }
+
+    /// True if `hit` has light found anew, not read.
+    fn is_relit(&self, hit: &Hit) -> bool {
+        match self {
+            Self::Baked { cloud, dice, near } => {
+                let found = dice.surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+                found
+                    .zip(*near)
+                    .is_some_and(|(i, hits)| hits.is_near(hit, cloud.radius[i as usize]))
+            }
+            Self::AtHits(light) => light.reflects(hit),
+            Self::Loaded(_) => false,
+        }
+    }
+
     /// Radiance from `hit` back to `origin`, from which the unit `direction` met it; black on a side without surfels.
     pub fn radiance(&self, hit: &Hit, origin: Vec3, direction: Vec3) -> Outgoing {
         match self {

@@ -5,7 +5,8 @@
 //! is in the mean the square of the error, with no part of the noise in it. Sets are added until the noise left tells on
 //! which side of the allowed error the surfels are.
 //!
-//! Where only very many surfels would do, the run lights all its hits anew, if that takes fewer rays.
+//! Hits near surfels that are too coarse can be lit anew farther out, all hits can, or surfels can be finer: whatever
+//! takes the fewest rays.
 
 use super::super::Error;
 use super::super::gather::{dice, read_surfels, relight};
@@ -16,6 +17,7 @@ use crate::diagnostics::Diagnostics;
 use crate::gather::{self, GatherScene, HitLight, RadianceSource, RaysEngine, RaysSettings};
 use crate::pilot::error::{mean_magnitude, relative, rms_difference, values};
 use crate::results::Aov;
+use std::f64::consts::SQRT_2;
 
 /// Tolerance that a run's usual surfels suit, about: the Cornell box of the README takes 0.3 times as many.
 const USUAL: f64 = 0.01;
@@ -53,30 +55,28 @@ const LIGHT_RAYS: f64 = 1.0;
 /// Fewest rays of a run.
 const FEWEST_RAYS: f64 = 16.0;
 
-/// Power of the rays that the square of a pattern's error falls with (measured: 64 to 4096 rays); noise at hits falls with
-/// the first.
+/// Power of the rays that the square of a pattern's error falls with (measured: 64 to 4096 rays), and that of noise at
+/// hits.
 const PATTERN_LAW: f64 = 1.5;
+const HITS_LAW: f64 = 1.0;
 
 /// Components of a carrier.
 const COLORS: f64 = 3.0;
 
 /// What surfels leave, and how it comes to that.
+#[derive(Debug, Default)]
 struct Judged {
     errors: Vec<f64>,
     relit: Relit,
-}
-
-impl Judged {
-    /// Surfels leave no error where none is read.
-    const ALL: Self = Self {
-        errors: Vec::new(),
-        relit: Relit::All,
-    };
+    /// Rays that a receiver of the run needs.
+    rays: f64,
+    /// Share of them whose hits are lit anew.
+    relit_share: f64,
 }
 
 impl Ladder<'_> {
-    /// Finer and finer clouds, until one is fine enough or lighting all hits anew is cheaper. What was asked for by name
-    /// stays.
+    /// Finer and finer clouds, until one is fine enough and a finer one would take more rays than lighting more hits anew.
+    /// What was asked for by name stays.
     pub(super) fn climb_by_hits(
         &self,
         (report, diagnostics): (&mut Report, &Diagnostics),
@@ -89,24 +89,21 @@ impl Ladder<'_> {
         let mut before = None;
         loop {
             let baked = dice(self.world, &settings, (&mut *report, diagnostics))?;
-            let found = self.nearest_relit(&mut witness, &baked, diagnostics)?;
-            let (worst, count) = (self.worst(&found.errors), baked.cloud.len());
+            let judged = self.judge_all(&mut witness, &baked, diagnostics)?;
+            let (worst, count) = (self.least(&judged), baked.cloud.len());
             let is_stalled = before.is_some_and(|before| law((before, (count, worst))) < STALLED);
-            let next = more(count, worst);
-            let is_enough = worst <= 1.0 || self.is_fixed();
-            let is_last = is_stalled || count >= MOST;
-            let all = !is_enough
-                && self.job.bounces <= 1
-                && (is_last || self.is_cheaper_at_hits(&witness, next));
-            if is_enough || is_last || all {
-                let found = if all { Judged::ALL } else { found };
+            let is_last = self.is_fixed() || is_stalled || count >= MOST;
+            let (next, rays_with_finer) = self.finer(&judged, count);
+            let best = self.best(judged);
+            let is_enough = self.worst(&best.errors) <= 1.0;
+            if is_last || (is_enough && self.rays_of_run(&best) <= rays_with_finer) {
                 report.set("spacing", f64::from(baked.cloud.spacing));
-                report.set("surfel_error", self.worst(&found.errors) * self.allowed);
-                report.set("relit", found.relit.name());
+                report.set("surfel_error", self.worst(&best.errors) * self.allowed);
+                report.set("relit", best.relit.name());
                 return Ok(Climbed {
                     baked,
-                    errors: found.errors,
-                    relit: found.relit,
+                    errors: best.errors,
+                    relit: best.relit,
                 });
             }
             settings.surfels = next;
@@ -114,36 +111,61 @@ impl Ladder<'_> {
         }
     }
 
-    /// How far hits have to be lit anew so that the surfels of `baked` are good enough, or the farthest that is tried.
-    fn nearest_relit(
+    /// What the surfels of `baked` leave, the nearest hits lit anew first; farther ones only where the nearer do not do.
+    fn judge_all(
         &self,
         witness: &mut Witness<'_>,
         baked: &Baked,
         diagnostics: &Diagnostics,
-    ) -> Result<Judged, Error> {
-        let tried = if self.job.bounces <= 1 {
-            NEAR_RADII.as_slice()
-        } else {
-            &NEAR_RADII[..1]
-        };
-        let mut best: Option<Judged> = None;
-        for &radii in tried {
-            let judged = Judged {
-                errors: witness.judge(baked, radii, diagnostics)?,
-                relit: Relit::Near(radii),
-            };
-            let worst = self.worst(&judged.errors);
-            if best
-                .as_ref()
-                .is_none_or(|best| worst < self.worst(&best.errors))
-            {
-                best = Some(judged);
-            }
-            if worst <= 1.0 {
-                break;
+    ) -> Result<Vec<Judged>, Error> {
+        let mut all = Vec::new();
+        for radii in NEAR_RADII {
+            let judged = witness.judge(baked, radii, diagnostics)?;
+            let is_enough = self.worst(&judged.errors) <= 1.0;
+            all.push(judged);
+            if is_enough || self.job.bounces > 1 {
+                return Ok(all);
             }
         }
-        Ok(best.unwrap_or(Judged::ALL))
+        if !self.is_fixed() {
+            all.extend(witness.all_anew(baked));
+        }
+        Ok(all)
+    }
+
+    /// The least of the worst errors that surfels leave.
+    fn least(&self, judged: &[Judged]) -> f64 {
+        let read = judged.iter().filter(|one| one.relit != Relit::All);
+        let worst = read.map(|one| self.worst(&one.errors));
+        worst.fold(f64::INFINITY, f64::min)
+    }
+
+    /// The one that is good enough with the fewest rays, or else the best.
+    fn best(&self, judged: Vec<Judged>) -> Judged {
+        let rank = |one: &Judged| {
+            let worst = self.worst(&one.errors);
+            if worst <= 1.0 {
+                (0.0, self.rays_of_run(one))
+            } else {
+                (worst, 0.0)
+            }
+        };
+        let best = judged.into_iter().min_by(|a, b| {
+            let ((a, rays_a), (b, rays_b)) = (rank(a), rank(b));
+            a.total_cmp(&b).then(rays_a.total_cmp(&rays_b))
+        });
+        best.unwrap_or_default()
+    }
+
+    /// How many surfels are tried after `count` of them that were `judged`, and rays with these, if they are good enough.
+    fn finer(&self, judged: &[Judged], count: usize) -> (usize, f64) {
+        let read = judged.iter().filter(|one| one.relit != Relit::All);
+        let rays = read.map(|one| {
+            let next = more(count, self.worst(&one.errors));
+            (next, self.rays_of_dicing(next) + self.rays_of_run(one))
+        });
+        rays.min_by(|a, b| a.1.total_cmp(&b.1))
+            .unwrap_or((count, f64::INFINITY))
     }
 
     /// Surfels to begin with.
@@ -157,16 +179,24 @@ impl Ladder<'_> {
         ((usual as f64 * part) as usize).max(FEWEST)
     }
 
-    /// True if the run traces fewer rays when it lights all hits anew than with `surfels` of them.
-    fn is_cheaper_at_hits(&self, witness: &Witness<'_>, surfels: usize) -> bool {
+    /// Rays that light `surfels`.
+    fn rays_of_dicing(&self, surfels: usize) -> f64 {
+        let (lights, sky) = self.lights();
+        surfels as f64 * (1.0 + lights + SKY_RAYS_A_SURFEL * sky)
+    }
+
+    /// Rays of all receivers, and those that light their hits.
+    fn rays_of_run(&self, judged: &Judged) -> f64 {
+        let (lights, sky) = self.lights();
+        let of_hits = judged.relit_share * (lights + SKY_RAYS_A_HIT * sky);
+        self.receivers as f64 * judged.rays * (1.0 + of_hits)
+    }
+
+    /// Rays to lights from each place, and 1 where there is a sky.
+    fn lights(&self) -> (f64, f64) {
         let lighting = &self.world.lighting;
-        let lights = LIGHT_RAYS * lighting.light_count() as f64;
         let sky = f64::from(u8::from(lighting.has_environment()));
-        let [by_surfels, at_hits] = witness.rays_needed(RAYS_SHARE * self.tolerance);
-        let receivers = self.receivers as f64;
-        let with_surfels =
-            surfels as f64 * (1.0 + lights + SKY_RAYS_A_SURFEL * sky) + receivers * by_surfels;
-        receivers * at_hits * (1.0 + lights + SKY_RAYS_A_HIT * sky) < with_surfels
+        (LIGHT_RAYS * lighting.light_count() as f64, sky)
     }
 }
 
@@ -182,8 +212,6 @@ struct Witness<'a> {
     means: Vec<f64>,
     /// By set.
     at_hits: Vec<Values>,
-    /// Mean square of the noise of each carrier's set, by surfels and lit anew.
-    noise: Vec<[f64; 2]>,
 }
 
 impl<'a> Witness<'a> {
@@ -196,26 +224,25 @@ impl<'a> Witness<'a> {
             carriers,
             means: Vec::new(),
             at_hits: Vec::new(),
-            noise: Vec::new(),
         }
     }
 
-    /// Relative error that the surfels of `baked` leave in each of the run's AOVs where hits nearer than `near_radii` of
-    /// theirs are lit anew.
+    /// What the surfels of `baked` leave in each of the run's AOVs where hits nearer than `near_radii` of theirs are lit
+    /// anew.
     fn judge(
         &mut self,
         baked: &Baked,
         near_radii: f32,
         diagnostics: &Diagnostics,
-    ) -> Result<Vec<f64>, Error> {
+    ) -> Result<Judged, Error> {
         let by_surfels = read_surfels(baked, self.ladder.world, (1, near_radii));
         if self.means.is_empty() {
             self.means = self.measure_means(baked, diagnostics)?;
         }
         let mut sums: [Values; 2] = [Vec::new(), Vec::new()];
         let mut found = Vec::new();
+        let mut first = Vec::new();
         for pair in 0..MOST_PAIRS {
-            let mut reads = Vec::new();
             for (half, sum) in sums.iter_mut().enumerate() {
                 let set = 2 * pair + half;
                 if self.at_hits.len() <= set {
@@ -224,10 +251,9 @@ impl<'a> Witness<'a> {
                 }
                 let read = self.look(Some(by_surfels.clone()), set, diagnostics)?;
                 add_differences(sum, (&read, &self.at_hits[set]));
-                reads.push(read);
-            }
-            if pair == 0 {
-                self.note_noise(&reads);
+                if pair == 0 {
+                    first.push(read);
+                }
             }
             found = self.squares(&sums, (pair + 1) as f64);
             if pair > 0 && found.iter().all(|&square| self.is_sure(square)) {
@@ -235,7 +261,28 @@ impl<'a> Witness<'a> {
             }
         }
         let error = |(square, error): (f64, f64)| (square.max(0.0) + error).sqrt();
-        Ok(found.into_iter().map(error).collect())
+        let relit_share = self.relit_share(&by_surfels);
+        Ok(Judged {
+            errors: found.into_iter().map(error).collect(),
+            relit: Relit::Near(near_radii),
+            rays: self.rays_needed(&first, relit_share),
+            relit_share,
+        })
+    }
+
+    /// Surfels leave no error where none is read. `None` before hits were lit anew.
+    fn all_anew(&self, baked: &Baked) -> Option<Judged> {
+        let relit_share = self.relit_share(&self.anew(baked)?);
+        (self.at_hits.len() > 1).then(|| Judged {
+            errors: Vec::new(),
+            relit: Relit::All,
+            rays: self.rays_needed(&self.at_hits, relit_share),
+            relit_share,
+        })
+    }
+
+    fn relit_share(&self, source: &RadianceSource<'_>) -> f64 {
+        source.relit_share(&self.ladder.world.tracer, self.ladder.few)
     }
 
     /// True if a squared error with this standard error is known well enough.
@@ -266,30 +313,21 @@ impl<'a> Witness<'a> {
         self.carriers.iter().position(is_told)
     }
 
-    /// Note the noise of single sets: two of `reads` by surfels, and the first two lit anew.
-    fn note_noise(&mut self, reads: &[Values]) {
-        let noise = |sets: &[Values], c: usize| match sets {
-            [a, b, ..] => 0.5 * rms_difference(&a[c], &b[c]).powi(2),
-            _ => 0.0,
+    /// Rays that bring the noise of `sets`, two or more of which are looked at, down to what the tolerance leaves for them;
+    /// in the hits of `relit_share` light is found anew.
+    fn rays_needed(&self, sets: &[Values], relit_share: f64) -> f64 {
+        let ([a, b] | [a, b, ..]) = sets else {
+            return FEWEST_RAYS;
         };
-        self.noise = (0..self.carriers.len())
-            .map(|c| [noise(reads, c), noise(&self.at_hits, c)])
-            .collect();
-    }
-
-    /// Rays that bring the noise down to the relative error `allowed`: by surfels and lit anew.
-    fn rays_needed(&self, allowed: f64) -> [f64; 2] {
-        let mut most = [FEWEST_RAYS; 2];
-        for (&aov, &mean) in self.ladder.aovs.iter().zip(&self.means) {
-            let Some(c) = self.carrier_index(aov) else {
-                continue;
-            };
-            let square = |x: f64| relative(relative(x, mean), mean) / (allowed * allowed);
-            let [surfels, hits] = self.noise[c].map(square);
-            let needed = [surfels.powf(1.0 / PATTERN_LAW), hits];
-            most = [0, 1].map(|i| most[i].max(f64::from(RAYS) * needed[i]));
-        }
-        most
+        let allowed = RAYS_SHARE * self.ladder.tolerance;
+        let law = PATTERN_LAW + (HITS_LAW - PATTERN_LAW) * relit_share;
+        let needed = |(&aov, &mean): (&Aov, &f64)| {
+            let c = self.carrier_index(aov)?;
+            let noise = relative(rms_difference(&a[c], &b[c]), mean) / SQRT_2;
+            Some(f64::from(RAYS) * (noise / allowed).powf(2.0 / law))
+        };
+        let aovs = self.ladder.aovs.iter().zip(&self.means);
+        aovs.filter_map(needed).fold(FEWEST_RAYS, f64::max)
     }
 
     fn anew<'b>(&'b self, baked: &'b Baked) -> Option<RadianceSource<'b>> {
