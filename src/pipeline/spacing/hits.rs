@@ -16,7 +16,7 @@ use crate::bake::Baked;
 use crate::diagnostics::Diagnostics;
 use crate::gather::{self, GatherScene, HitLight, RadianceSource, RaysEngine, RaysSettings};
 use crate::pilot::error::{mean_magnitude, relative, rms_difference, values};
-use crate::results::Aov;
+use crate::results::{Aov, Results};
 use std::f64::consts::SQRT_2;
 
 /// Tolerance that a run's usual surfels suit, about: the Cornell box of the README takes 0.3 times as many.
@@ -27,11 +27,14 @@ const USUAL: f64 = 0.01;
 /// surfels, 2.5, 0.9, 0.75, 0.8 % of 103 000 (no more than 0.7 % could be told).
 const NEAR_RADII: [f32; 2] = [HitLight::NEAR_RADII, 6.0];
 
-/// Rays of a set at each of the few receivers.
-const RAYS: u32 = 256;
+/// Rays of a set at each of the few receivers: the finer the tolerance the more, since one set of many leaves less noise
+/// than several of few.
+const RAYS: (f64, f64) = (64.0, 256.0);
+/// Those of a tolerance of 1.
+const RAYS_OF_ONE: f64 = 5.12;
 
-/// Pairs of sets at most: two million rays at 128 receivers.
-const MOST_PAIRS: usize = 32;
+/// Rays at each of the few receivers at most, of all sets: two million at 128 receivers.
+const MOST_RAYS: f64 = 16_384.0;
 
 /// Turn of the pattern from one set to the next: no multiple is one of the run (0), the pilot or `verify`.
 const TURN: f32 = 0.267_949_2;
@@ -208,6 +211,8 @@ struct Witness<'a> {
     ladder: &'a Ladder<'a>,
     /// AOVs that hold all of the surfels' error in those that are asked for.
     carriers: Vec<Aov>,
+    /// Of a set.
+    rays: f64,
     /// Mean magnitude of each AOV asked for.
     means: Vec<f64>,
     /// By set.
@@ -222,6 +227,9 @@ impl<'a> Witness<'a> {
         Self {
             ladder,
             carriers,
+            rays: (RAYS_OF_ONE / ladder.tolerance)
+                .clamp(RAYS.0, RAYS.1)
+                .round(),
             means: Vec::new(),
             at_hits: Vec::new(),
         }
@@ -236,20 +244,17 @@ impl<'a> Witness<'a> {
         diagnostics: &Diagnostics,
     ) -> Result<Judged, Error> {
         let by_surfels = read_surfels(baked, self.ladder.world, (1, near_radii));
-        if self.means.is_empty() {
-            self.means = self.measure_means(baked, diagnostics)?;
-        }
         let mut sums: [Values; 2] = [Vec::new(), Vec::new()];
         let mut found = Vec::new();
         let mut first = Vec::new();
-        for pair in 0..MOST_PAIRS {
+        for pair in 0..self.most_pairs() {
             for (half, sum) in sums.iter_mut().enumerate() {
                 let set = 2 * pair + half;
                 if self.at_hits.len() <= set {
-                    let anew = self.look(self.anew(baked), set, diagnostics)?;
-                    self.at_hits.push(anew);
+                    self.light_anew(baked, diagnostics)?;
                 }
-                let read = self.look(Some(by_surfels.clone()), set, diagnostics)?;
+                let read = self.look(Some(by_surfels.clone()), set, &self.carriers, diagnostics)?;
+                let read = self.of_carriers(&read);
                 add_differences(sum, (&read, &self.at_hits[set]));
                 if pair == 0 {
                     first.push(read);
@@ -324,7 +329,7 @@ impl<'a> Witness<'a> {
         let needed = |(&aov, &mean): (&Aov, &f64)| {
             let c = self.carrier_index(aov)?;
             let noise = relative(rms_difference(&a[c], &b[c]), mean) / SQRT_2;
-            Some(f64::from(RAYS) * (noise / allowed).powf(2.0 / law))
+            Some(self.rays * (noise / allowed).powf(2.0 / law))
         };
         let aovs = self.ladder.aovs.iter().zip(&self.means);
         aovs.filter_map(needed).fold(FEWEST_RAYS, f64::max)
@@ -335,33 +340,63 @@ impl<'a> Witness<'a> {
         relight(baked, world, &world.lighting).map(RadianceSource::AtHits)
     }
 
-    fn measure_means(&self, baked: &Baked, diagnostics: &Diagnostics) -> Result<Vec<f64>, Error> {
-        let engine = self.engine(self.anew(baked), 0);
-        let aovs: Vec<Aov> = self.ladder.asked().collect();
-        let results = gather::gather(self.scene(), &engine, self.ladder.few, &aovs, diagnostics)?;
-        let mean = |&aov: &Aov| mean_magnitude(&values(&results, aov).unwrap_or_default());
-        Ok(self.ladder.aovs.iter().map(mean).collect())
+    /// Look along one more set, lit anew; the first tells the means too.
+    fn light_anew(&mut self, baked: &Baked, diagnostics: &Diagnostics) -> Result<(), Error> {
+        let is_first = self.at_hits.is_empty();
+        let mut aovs = self.carriers.clone();
+        if is_first {
+            aovs.extend(
+                self.ladder
+                    .asked()
+                    .filter(|aov| !self.carriers.contains(aov)),
+            );
+        }
+        let results = self.look(self.anew(baked), self.at_hits.len(), &aovs, diagnostics)?;
+        if is_first {
+            let mean = |&aov: &Aov| mean_magnitude(&values(&results, aov).unwrap_or_default());
+            self.means = self.ladder.aovs.iter().map(mean).collect();
+        }
+        self.at_hits.push(self.of_carriers(&results));
+        Ok(())
+    }
+
+    fn of_carriers(&self, results: &Results) -> Values {
+        let of = |&aov: &Aov| values(results, aov).unwrap_or_default();
+        self.carriers.iter().map(of).collect()
     }
 
     fn look(
         &self,
         source: Option<RadianceSource<'_>>,
         set: usize,
+        aovs: &[Aov],
         diagnostics: &Diagnostics,
-    ) -> Result<Values, Error> {
+    ) -> Result<Results, Error> {
         let engine = self.engine(source, set);
-        let few = self.ladder.few;
-        let results = gather::gather(self.scene(), &engine, few, &self.carriers, diagnostics)?;
-        let of = |&aov: &Aov| values(&results, aov).unwrap_or_default();
-        Ok(self.carriers.iter().map(of).collect())
+        let found = gather::gather(self.scene(), &engine, self.ladder.few, aovs, diagnostics)?;
+        Ok(found)
     }
 
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "at most 128"
+    )]
+    fn most_pairs(&self) -> usize {
+        (0.5 * MOST_RAYS / self.rays) as usize
+    }
+
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "at most 256"
+    )]
     fn engine<'s>(&self, source: Option<RadianceSource<'s>>, set: usize) -> RaysEngine<'s>
     where
         'a: 's,
     {
         let settings = RaysSettings {
-            rays: RAYS,
+            rays: self.rays as u32,
             max_distance: self.ladder.job.max_distance,
             turn: TURN * (set + 1) as f32,
         };
