@@ -16,8 +16,13 @@ use crate::bake::Baked;
 use crate::diagnostics::Diagnostics;
 use crate::gather::{self, GatherScene, HitLight, RadianceSource, RaysEngine, RaysSettings};
 use crate::pilot::error::{mean_magnitude, relative, rms_difference, values};
+use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
+use rayon::prelude::*;
 use std::f64::consts::SQRT_2;
+
+/// Receivers that look at a time.
+const PART: usize = 8;
 
 /// Tolerance that a run's usual surfels suit, about: the Cornell box of the README takes 0.3 times as many.
 const USUAL: f64 = 0.01;
@@ -211,6 +216,8 @@ struct Witness<'a> {
     ladder: &'a Ladder<'a>,
     /// AOVs that hold all of the surfels' error in those that are asked for.
     carriers: Vec<Aov>,
+    /// The few receivers, some at a time.
+    parts: Vec<Receivers>,
     /// Of a set.
     rays: f64,
     /// Mean magnitude of each AOV asked for.
@@ -224,9 +231,13 @@ impl<'a> Witness<'a> {
         let mut carriers: Vec<Aov> = ladder.asked().map(carrier).collect();
         carriers.sort();
         carriers.dedup();
+        let few: Vec<usize> = (0..ladder.few.len()).collect();
+        let parts = few.chunks(PART).map(|part| ladder.few.subset(part));
+        let parts = parts.collect();
         Self {
             ladder,
             carriers,
+            parts,
             rays: (RAYS_OF_ONE / ladder.tolerance)
                 .clamp(RAYS.0, RAYS.1)
                 .round(),
@@ -365,6 +376,7 @@ impl<'a> Witness<'a> {
         self.carriers.iter().map(of).collect()
     }
 
+    /// Some of the few receivers at a time: all of them would be one block, one thread's work.
     fn look(
         &self,
         source: Option<RadianceSource<'_>>,
@@ -373,8 +385,17 @@ impl<'a> Witness<'a> {
         diagnostics: &Diagnostics,
     ) -> Result<Results, Error> {
         let engine = self.engine(source, set);
-        let found = gather::gather(self.scene(), &engine, self.ladder.few, aovs, diagnostics)?;
-        Ok(found)
+        let look =
+            |some: &Receivers| gather::gather(self.scene(), &engine, some, aovs, diagnostics);
+        let parts: Vec<Results> = self.parts.par_iter().map(look).collect::<Result<_, _>>()?;
+        let mut parts = parts.into_iter();
+        let mut all = parts.next().unwrap_or_default();
+        for part in parts {
+            for (buffer, more) in all.buffers.iter_mut().zip(part.buffers) {
+                buffer.data.extend(more.data);
+            }
+        }
+        Ok(all)
     }
 
     #[expect(
