@@ -25,6 +25,13 @@ impl Outgoing {
     };
 
     /// Of surfel `i`, a diffuse one: radiosity / π, the same in all directions.
+    fn less(self, other: Self) -> Self {
+        Self {
+            reflected: self.reflected - other.reflected,
+            emitted: self.emitted - other.emitted,
+        }
+    }
+
     fn of_surfel(cloud: &SurfelCloud, i: u32) -> Self {
         let i = i as usize;
         Self {
@@ -68,6 +75,15 @@ pub enum RadianceSource<'a> {
     },
     /// No surfels: every hit is lit anew.
     AtHits(HitLight<'a>),
+    /// What [`Self::Baked`] errs by: radiance of surfels less that found anew, where they are read.
+    ErrorOf {
+        /// The surfels.
+        cloud: &'a SurfelCloud,
+        /// Which of them covers which part of a triangle.
+        dice: &'a DiceMap,
+        /// Tells which hits are too near to read surfels, and the light at the others.
+        anew: HitLight<'a>,
+    },
     /// Clouds from elsewhere, found by place; their light adds up (light groups).
     Loaded(Vec<LoadedCloud<'a>>),
 }
@@ -104,7 +120,7 @@ impl RadianceSource<'_> {
                     .is_some_and(|(i, hits)| hits.is_near(hit, cloud.radius[i as usize]))
             }
             Self::AtHits(light) => light.reflects(hit),
-            Self::Loaded(_) => false,
+            Self::ErrorOf { .. } | Self::Loaded(_) => false,
         }
     }
 
@@ -125,6 +141,13 @@ impl RadianceSource<'_> {
                 }
             }
             Self::AtHits(light) => light.radiance(hit),
+            Self::ErrorOf { cloud, dice, anew } => {
+                let found = dice.surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+                match found.filter(|&i| !anew.is_near(hit, cloud.radius[i as usize])) {
+                    Some(i) => Outgoing::of_surfel(cloud, i).less(anew.radiance(hit)),
+                    None => Outgoing::BLACK,
+                }
+            }
             Self::Loaded(clouds) => {
                 let position = origin + direction * hit.distance;
                 clouds.iter().fold(Outgoing::BLACK, |sum, loaded| {

@@ -93,6 +93,20 @@ pub(super) fn read_surfels<'a>(
     }
 }
 
+/// What [`read_surfels`] errs by after one reflection; `None` as [`relight`].
+pub(super) fn errors_of_surfels<'a>(
+    baked: &'a Baked,
+    world: &'a World<'_>,
+    near_radii: f32,
+) -> Option<RadianceSource<'a>> {
+    let anew = relight(baked, world, &world.lighting)?.within(near_radii);
+    Some(RadianceSource::ErrorOf {
+        cloud: &baked.cloud,
+        dice: &baked.dice,
+        anew,
+    })
+}
+
 /// Light of `lighting` found anew at hits, on the sides that have surfels: once reflected. `None` where a few rays can't
 /// light a place.
 pub(super) fn relight<'a>(

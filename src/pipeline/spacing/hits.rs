@@ -1,6 +1,6 @@
 //! What surfels' size costs, told by light found anew at what a few receivers see.
 //!
-//! The same rays read surfels and light hits anew; what differs on the way to the mean over many rays is the surfels'
+//! Where rays read surfels their hits are lit anew; what differs on the way to the mean over many rays is the surfels'
 //! error. Light at a hit is itself noisy, so two independent sets of rays are compared: the product of both differences
 //! is in the mean the square of the error, with no part of the noise in it. Sets are added until the noise left tells on
 //! which side of the allowed error the surfels are.
@@ -9,7 +9,7 @@
 //! takes the fewest rays.
 
 use super::super::Error;
-use super::super::gather::{dice, read_surfels, relight};
+use super::super::gather::{dice, errors_of_surfels, read_surfels, relight};
 use super::super::report::Report;
 use super::{Climbed, FEWEST, Ladder, MOST, Relit, STALLED, is_measured, law, more};
 use crate::bake::Baked;
@@ -222,7 +222,7 @@ struct Witness<'a> {
     rays: f64,
     /// Mean magnitude of each AOV asked for.
     means: Vec<f64>,
-    /// By set.
+    /// Two sets.
     at_hits: Vec<Values>,
 }
 
@@ -254,34 +254,31 @@ impl<'a> Witness<'a> {
         near_radii: f32,
         diagnostics: &Diagnostics,
     ) -> Result<Judged, Error> {
-        let by_surfels = read_surfels(baked, self.ladder.world, (1, near_radii));
+        if self.at_hits.is_empty() {
+            self.light_anew(baked, diagnostics)?;
+        }
+        let errors = errors_of_surfels(baked, self.ladder.world, near_radii);
         let mut sums: [Values; 2] = [Vec::new(), Vec::new()];
         let mut found = Vec::new();
-        let mut first = Vec::new();
         for pair in 0..self.most_pairs() {
             for (half, sum) in sums.iter_mut().enumerate() {
                 let set = 2 * pair + half;
-                if self.at_hits.len() <= set {
-                    self.light_anew(baked, diagnostics)?;
-                }
-                let read = self.look(Some(by_surfels.clone()), set, &self.carriers, diagnostics)?;
-                let read = self.of_carriers(&read);
-                add_differences(sum, (&read, &self.at_hits[set]));
-                if pair == 0 {
-                    first.push(read);
-                }
+                let results = self.look(errors.as_ref(), set, &self.carriers, diagnostics)?;
+                add(sum, &self.of_carriers(&results));
             }
             found = self.squares(&sums, (pair + 1) as f64);
             if pair > 0 && found.iter().all(|&square| self.is_sure(square)) {
                 break;
             }
         }
+        let by_surfels = read_surfels(baked, self.ladder.world, (1, near_radii));
+        let reads = self.two_sets(&by_surfels, diagnostics)?;
         let error = |(square, error): (f64, f64)| (square.max(0.0) + error).sqrt();
         let relit_share = self.relit_share(&by_surfels);
         Ok(Judged {
             errors: found.into_iter().map(error).collect(),
             relit: Relit::Near(near_radii),
-            rays: self.rays_needed(&first, relit_share),
+            rays: self.rays_needed(&reads, relit_share),
             relit_share,
         })
     }
@@ -346,28 +343,37 @@ impl<'a> Witness<'a> {
         aovs.filter_map(needed).fold(FEWEST_RAYS, f64::max)
     }
 
-    fn anew<'b>(&'b self, baked: &'b Baked) -> Option<RadianceSource<'b>> {
+    fn anew<'b>(&self, baked: &'b Baked) -> Option<RadianceSource<'b>>
+    where
+        'a: 'b,
+    {
         let world = self.ladder.world;
         relight(baked, world, &world.lighting).map(RadianceSource::AtHits)
     }
 
-    /// Look along one more set, lit anew; the first tells the means too.
+    /// Two sets by `source`.
+    fn two_sets(
+        &self,
+        source: &RadianceSource<'_>,
+        diagnostics: &Diagnostics,
+    ) -> Result<Vec<Values>, Error> {
+        let look = |set| {
+            let results = self.look(Some(source), set, &self.carriers, diagnostics)?;
+            Ok(self.of_carriers(&results))
+        };
+        [0, 1].into_iter().map(look).collect()
+    }
+
+    /// Look along two sets, lit anew, which tell the means and the noise.
     fn light_anew(&mut self, baked: &Baked, diagnostics: &Diagnostics) -> Result<(), Error> {
-        let is_first = self.at_hits.is_empty();
-        let mut aovs = self.carriers.clone();
-        if is_first {
-            aovs.extend(
-                self.ladder
-                    .asked()
-                    .filter(|aov| !self.carriers.contains(aov)),
-            );
-        }
-        let results = self.look(self.anew(baked), self.at_hits.len(), &aovs, diagnostics)?;
-        if is_first {
-            let mean = |&aov: &Aov| mean_magnitude(&values(&results, aov).unwrap_or_default());
-            self.means = self.ladder.aovs.iter().map(mean).collect();
-        }
-        self.at_hits.push(self.of_carriers(&results));
+        let Some(anew) = self.anew(baked) else {
+            return Ok(());
+        };
+        let asked: Vec<Aov> = self.ladder.asked().collect();
+        let results = self.look(Some(&anew), 0, &asked, diagnostics)?;
+        let mean = |&aov: &Aov| mean_magnitude(&values(&results, aov).unwrap_or_default());
+        self.means = self.ladder.aovs.iter().map(mean).collect();
+        self.at_hits = self.two_sets(&anew, diagnostics)?;
         Ok(())
     }
 
@@ -379,12 +385,12 @@ impl<'a> Witness<'a> {
     /// Some of the few receivers at a time: all of them would be one block, one thread's work.
     fn look(
         &self,
-        source: Option<RadianceSource<'_>>,
+        source: Option<&RadianceSource<'_>>,
         set: usize,
         aovs: &[Aov],
         diagnostics: &Diagnostics,
     ) -> Result<Results, Error> {
-        let engine = self.engine(source, set);
+        let engine = self.engine(source.cloned(), set);
         let look =
             |some: &Receivers| gather::gather(self.scene(), &engine, some, aovs, diagnostics);
         let parts: Vec<Results> = self.parts.par_iter().map(look).collect::<Result<_, _>>()?;
@@ -443,14 +449,12 @@ fn carrier(aov: Aov) -> Aov {
     }
 }
 
-/// Add `read − anew` to `sums`, each carrier's.
-fn add_differences(sums: &mut Values, (read, anew): (&Values, &Values)) {
-    sums.resize(read.len(), Vec::new());
-    for (sum, (read, anew)) in sums.iter_mut().zip(read.iter().zip(anew)) {
-        sum.resize(read.len(), 0.0);
-        for (sum, (read, anew)) in sum.iter_mut().zip(read.iter().zip(anew)) {
-            *sum += read - anew;
-        }
+/// Add `values` to `sums`, each carrier's.
+fn add(sums: &mut Values, values: &Values) {
+    sums.resize(values.len(), Vec::new());
+    for (sum, values) in sums.iter_mut().zip(values) {
+        sum.resize(values.len(), 0.0);
+        sum.iter_mut().zip(values).for_each(|(sum, x)| *sum += x);
     }
 }
 
@@ -486,11 +490,10 @@ mod tests {
     }
 
     #[test]
-    fn differences_add_up() {
+    fn values_of_sets_add_up() {
         let mut sums = Vec::new();
-        let (read, anew) = (vec![vec![3.0, 1.0]], vec![vec![1.0, 2.0]]);
-        add_differences(&mut sums, (&read, &anew));
-        add_differences(&mut sums, (&read, &anew));
-        assert_eq!(sums, [[4.0, -2.0]]);
+        add(&mut sums, &vec![vec![3.0, 1.0]]);
+        add(&mut sums, &vec![vec![1.0, -2.0]]);
+        assert_eq!(sums, [[4.0, -1.0]]);
     }
 }
