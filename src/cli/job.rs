@@ -6,9 +6,10 @@ use super::args::{
     StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
 };
 use crate::bake::BakeSettings;
+use crate::gather::rays::cone::Falloff;
 use crate::pipeline::{
-    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, MapsSettings, OutputJob, PointsJob,
-    Purposed, RenderJob, StageJob, VerifyJob,
+    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, MapsSettings, OcclusionKind, OutputJob,
+    PointsJob, Purposed, RenderJob, StageJob, VerifyJob,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
@@ -186,6 +187,9 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
             "--gather raster: it gathers from the stage's own surfels, which --cloud replaces (use rays or paper)"
         );
     }
+    if args.falloff != Falloff::None && args.max_distance.is_none() {
+        bail!("--falloff needs --max-distance: where what covers has faded to nothing");
+    }
     if args.bounces == 0 && aovs.contains(&Aov::IrradianceIndirect) {
         bail!("--bounces 0 leaves nothing for irradiance_indirect (right: 1 or more)");
     }
@@ -210,6 +214,10 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
         max_solid_angle: args.max_solid_angle,
         raster_resolution: args.raster_resolution,
         max_distance: args.max_distance,
+        occlusion: OcclusionKind {
+            half_angle: args.cone_angle.map(f32::to_radians),
+            falloff: args.falloff,
+        },
         clouds: args.cloud,
         spacing: surfels.spacing,
         surfels: surfels.surfels,
@@ -292,6 +300,7 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
             max_solid_angle: PAPER.0,
             raster_resolution: PAPER.1,
             max_distance: args.max_distance,
+            occlusion: OcclusionKind::default(),
             clouds: Vec::new(),
             spacing: args.surfels.spacing,
             surfels: args.surfels.surfels,

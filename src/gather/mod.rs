@@ -239,7 +239,9 @@ impl<'a> Work<'a> {
         let asked = any(Aov::needs_environment);
         let environment = Environment::plan(scene.lighting.filter(|_| asked), aovs);
         let indirect = any(Aov::needs_indirect);
-        let openness = any(|aov| aov.is_openness() || aov.error_of().is_some());
+        let openness = any(|aov| {
+            aov.is_openness() || aov == Aov::ReflectionOcclusion || aov.error_of().is_some()
+        });
         Self {
             scene,
             material: any(Aov::needs_material),

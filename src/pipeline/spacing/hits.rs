@@ -426,6 +426,7 @@ impl<'a> Witness<'a> {
             rays: self.rays as u32,
             max_distance: self.ladder.job.max_distance,
             turn: TURN * (set + 1) as f32,
+            cone: None,
         };
         RaysEngine::new(&self.ladder.world.tracer, source, settings)
     }
