@@ -140,9 +140,10 @@ pub(super) struct GatherArgs {
     /// Results, comma separated.
     #[arg(long, value_name = "NAME", value_delimiter = ',')]
     pub(super) aov: Vec<String>,
-    /// Diffuse reflections that `irradiance_indirect` holds.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(super) bounces: u32,
+    /// Diffuse reflections that `irradiance_indirect` holds; `auto`: until what is left to come is a quarter of --tolerance
+    /// (0.02 without one).
+    #[arg(long, value_name = "N|auto", default_value = "1", value_parser = bounces)]
+    pub(super) bounces: BouncesArg,
     /// Gather engine.
     #[arg(long, value_enum, default_value_t = EngineName::Auto)]
     pub(super) gather: EngineName,
@@ -351,6 +352,20 @@ pub(super) enum InstancesName {
 pub(super) enum ExrLayout {
     Single,
     Multipart,
+}
+
+/// `--bounces`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum BouncesArg {
+    Count(u32),
+    Auto,
+}
+
+fn bounces(text: &str) -> Result<BouncesArg, String> {
+    if text == "auto" {
+        return Ok(BouncesArg::Auto);
+    }
+    (text.parse().map(BouncesArg::Count)).map_err(|_| "a number, or auto, is needed".to_owned())
 }
 
 fn falloff(text: &str) -> Result<Falloff, String> {

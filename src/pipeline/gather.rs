@@ -9,7 +9,7 @@ use super::report::{Report, timed};
 use super::spacing::{self, Lit, Relit};
 use super::world::World;
 use crate::bake::{self, BakeSettings, Baked};
-use crate::bounce::{BounceClouds, CoarseCloud};
+use crate::bounce::{BounceClouds, Bounces, CoarseCloud};
 use crate::diagnostics::Diagnostics;
 use crate::gather::maps::MapsPlan;
 use crate::gather::paper::{PaperEngine, PaperSettings};
@@ -51,7 +51,7 @@ impl Light {
     pub(super) fn source<'a>(
         &'a self,
         world: &'a World<'_>,
-        (bounces, near_radii): (u32, f32),
+        (bounces, near_radii): (Bounces, f32),
     ) -> Option<RadianceSource<'a>> {
         match self {
             Self::None => None,
@@ -82,9 +82,9 @@ impl Light {
 pub(super) fn read_surfels<'a>(
     baked: &'a Baked,
     world: &'a World<'_>,
-    (bounces, near_radii): (u32, f32),
+    (bounces, near_radii): (Bounces, f32),
 ) -> RadianceSource<'a> {
-    let near = (bounces <= 1)
+    let near = (bounces.is_at_most_once())
         .then(|| relight(baked, world, &world.lighting))
         .flatten();
     RadianceSource::Baked {
@@ -314,7 +314,7 @@ impl<'a> Stand<'a> {
         lighting: &'s Lighting,
         settings: RaysSettings,
     ) -> Option<RaysEngine<'s>> {
-        let source = (self.job.bounces == 1)
+        let source = (self.job.bounces == Bounces::Count(1))
             .then(|| self.light.at_hits(self.world, lighting))
             .flatten()?;
         Some(RaysEngine::new(&self.world.tracer, Some(source), settings))
@@ -476,7 +476,7 @@ pub(super) fn light(
 /// True if some of `aovs` holds light that surfaces reflect.
 pub(super) fn needs_surfels(world: &World<'_>, aovs: &[Aov], job: &GatherJob) -> bool {
     let shines = !world.lighting.is_dark() || !job.clouds.is_empty();
-    shines && job.bounces > 0 && aovs.iter().any(|aov| aov.needs_indirect())
+    shines && job.bounces != Bounces::Count(0) && aovs.iter().any(|aov| aov.needs_indirect())
 }
 
 /// `baked` after all reflections but the last.
@@ -486,7 +486,7 @@ pub(super) fn bounce(
     job: &GatherJob,
     run: (&mut Report, &Diagnostics),
 ) -> Result<Light, Error> {
-    if job.bounces <= 1 {
+    if job.bounces.is_at_most_once() {
         return Ok(Light::Baked(Box::new(baked)));
     }
     let cloud = bounced(world, &baked, job, run)?;
@@ -550,16 +550,19 @@ fn bounced(
             tracer: &world.tracer,
         }),
     };
-    let cloud = timed(&mut report.seconds.gather, || {
+    let (cloud, count) = timed(&mut report.seconds.gather, || {
         crate::bounce::bounce(clouds, &factory, job.bounces, diagnostics)
     })?;
+    report.set("bounces", count);
     Ok(cloud)
 }
 
 /// Record the settings of `job` as resolved.
 pub(super) fn record(job: &GatherJob, aovs: &[Aov], report: &mut Report) {
     report.set("aov", aovs.iter().map(|aov| aov.name()).collect::<Vec<_>>());
-    report.set("bounces", job.bounces);
+    if let Bounces::Count(count) = job.bounces {
+        report.set("bounces", count);
+    }
     report.error.tolerance = job.tolerance;
     if job.tolerance.is_none() {
         report.set("rays", job.rays);

@@ -1,6 +1,7 @@
 //! Jobs as meant: everything that was typed, checked and resolved.
 
 use crate::bake::BakeSettings;
+use crate::bounce::Bounces;
 use crate::gather::maps::MapsSettings;
 use crate::gather::rays::cone::{Axis, Cone, Falloff};
 use crate::results::{Aov, BakeInterpolation};
@@ -71,7 +72,7 @@ pub struct GatherJob {
     /// Results in order; empty for a render = what the stage's render settings ask, or `color`.
     pub aovs: Vec<Aov>,
     /// Reflections.
-    pub bounces: u32,
+    pub bounces: Bounces,
     /// The engine.
     pub engine: EngineChoice,
     /// Relative RMSE to meet; `None`: the knobs below say what to do.

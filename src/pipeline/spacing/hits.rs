@@ -13,6 +13,7 @@ use super::super::gather::{dice, errors_of_surfels, read_surfels, relight};
 use super::super::report::Report;
 use super::{Climbed, FEWEST, Ladder, MOST, Relit, STALLED, is_measured, law, more};
 use crate::bake::Baked;
+use crate::bounce::Bounces;
 use crate::diagnostics::Diagnostics;
 use crate::gather::{self, GatherScene, HitLight, RadianceSource, RaysEngine, RaysSettings};
 use crate::pilot::error::{mean_magnitude, relative, rms_difference, values};
@@ -131,7 +132,7 @@ impl Ladder<'_> {
             let judged = witness.judge(baked, radii, diagnostics)?;
             let is_enough = self.worst(&judged.errors) <= 1.0;
             all.push(judged);
-            if is_enough || self.job.bounces > 1 {
+            if is_enough || !self.job.bounces.is_at_most_once() {
                 return Ok(all);
             }
         }
@@ -271,7 +272,7 @@ impl<'a> Witness<'a> {
                 break;
             }
         }
-        let by_surfels = read_surfels(baked, self.ladder.world, (1, near_radii));
+        let by_surfels = read_surfels(baked, self.ladder.world, (Bounces::Count(1), near_radii));
         let reads = self.two_sets(&by_surfels, diagnostics)?;
         let error = |(square, error): (f64, f64)| (square.max(0.0) + error).sqrt();
         let relit_share = self.relit_share(&by_surfels);
