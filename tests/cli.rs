@@ -344,6 +344,35 @@ fn usage_errors_exit_with_two() {
 }
 
 #[test]
+fn completions_and_manual_pages_name_every_command_and_flag() {
+    let folder = tempfile::tempdir().unwrap();
+    let result = run(&["man", folder.path().to_str().unwrap()]);
+    assert!(result.status.success(), "{}", stderr(&result));
+    let help = String::from_utf8(run(&["--help"]).stdout).unwrap();
+    let commands = ["points", "bake", "render", "info", "validate", "verify"];
+    let bash = String::from_utf8(run(&["completions", "bash"]).stdout).unwrap();
+    for command in commands {
+        assert!(help.contains(&format!("  {command} ")), "{help}");
+        assert!(bash.contains(command));
+        let page = folder.path().join(format!("surflux-{command}.1"));
+        let page = fs::read_to_string(page).unwrap();
+        assert!(
+            page.contains("\\-\\-frames") || command == "validate",
+            "{page}"
+        );
+    }
+    assert!(bash.contains("--cone-angle"));
+    // A shell that reads them has nothing to say.
+    let script = folder.path().join("surflux.bash");
+    fs::write(&script, &bash).unwrap();
+    let read = Command::new("bash").arg("-n").arg(&script).output();
+    assert!(read.is_ok_and(|read| read.status.success() && read.stderr.is_empty()));
+    let missing = run(&["man", "no/such/folder"]);
+    assert_eq!(missing.status.code(), Some(1));
+    assert!(stderr(&missing).contains("no/such/folder"));
+}
+
+#[test]
 fn a_missing_file_is_named() {
     for door in ["native", "auto"] {
         let result = run(&["info", "no/such/stage.usda", "--usd", door]);

@@ -2,7 +2,7 @@
 
 use super::frames::Frames;
 use super::progress::ProgressMode;
-use crate::gather::rays::cone::Falloff;
+use crate::pipeline::Falloff;
 use crate::stage::VariantChoice;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -16,7 +16,29 @@ pub(super) struct Cli {
 }
 
 #[derive(Debug, Subcommand)]
+#[expect(clippy::large_enum_variant, reason = "there is one, for the whole run")]
 pub(super) enum Command {
+    #[command(flatten)]
+    Job(JobCommand),
+    /// Write the completions of a shell to stdout.
+    #[command(
+        after_help = "Example:\n  surflux completions bash > ~/.local/share/bash-completion/completions/surflux"
+    )]
+    Completions {
+        /// Whose.
+        shell: clap_complete::Shell,
+    },
+    /// Write the manual pages, one a command.
+    #[command(after_help = "Example:\n  surflux man ~/.local/share/man/man1")]
+    Man {
+        /// A folder that exists.
+        folder: PathBuf,
+    },
+}
+
+/// What is done with a stage.
+#[derive(Debug, Subcommand)]
+pub(super) enum JobCommand {
     /// Bake direct light into a surfel cloud (UsdGeomPoints).
     #[command(after_help = "Example:\n  surflux points shot.usda -o cloud.usdc --surfels 500000")]
     Points(PointsArgs),

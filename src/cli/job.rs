@@ -1,16 +1,14 @@
 //! Arguments as typed → a [`Job`] as meant.
 
 use super::args::{
-    BakeArgs, BouncesArg, Cli, Command, EngineName, ExrLayout, GatherArgs, InfoArgs, InstancesName,
-    InterpolationName, JobName, LoadName, OutputArgs, PointsArgs, PurposeName, RenderArgs,
-    StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
+    BakeArgs, BouncesArg, EngineName, ExrLayout, GatherArgs, InfoArgs, InstancesName,
+    InterpolationName, JobCommand, JobName, LoadName, OutputArgs, PointsArgs, PurposeName,
+    RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
 };
 use crate::bake::BakeSettings;
-use crate::bounce::Bounces;
-use crate::gather::rays::cone::Falloff;
 use crate::pipeline::{
-    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, MapsSettings, OcclusionKind, OutputJob,
-    PointsJob, Purposed, RenderJob, StageJob, VerifyJob,
+    BakeJob, Bounces, Dome, EngineChoice, Falloff, GatherJob, InfoJob, Job, MapsSettings,
+    OcclusionKind, OutputJob, PointsJob, Purposed, RenderJob, StageJob, VerifyJob,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
@@ -19,7 +17,7 @@ use crate::writers::usd::layer::InstancePolicy;
 use anyhow::{Context, bail};
 use std::path::Path;
 
-impl Command {
+impl JobCommand {
     /// The flags that every command has.
     pub(super) fn stage(&self) -> &StageArgs {
         match self {
@@ -33,18 +31,18 @@ impl Command {
     }
 }
 
-/// The job that `cli` means.
+/// The job that `command` means.
 ///
 /// # Errors
 /// What a person typed wrong: unknown AOVs, missing outputs, wrong extensions.
-pub(super) fn from_args(cli: Cli, command_line: &[String]) -> anyhow::Result<Job> {
-    Ok(match cli.command {
-        Command::Points(args) => Job::Points(points(args, command_line)?),
-        Command::Bake(args) => Job::Bake(bake(args, command_line)?),
-        Command::Render(args) => Job::Render(render(args, command_line)?),
-        Command::Info(args) => Job::Info(info(args, command_line)?),
-        Command::Validate(args) => Job::Validate(stage(args.stage, command_line)?),
-        Command::Verify(args) => Job::Verify(verify(args, command_line)?),
+pub(super) fn from_args(command: JobCommand, command_line: &[String]) -> anyhow::Result<Job> {
+    Ok(match command {
+        JobCommand::Points(args) => Job::Points(points(args, command_line)?),
+        JobCommand::Bake(args) => Job::Bake(bake(args, command_line)?),
+        JobCommand::Render(args) => Job::Render(render(args, command_line)?),
+        JobCommand::Info(args) => Job::Info(info(args, command_line)?),
+        JobCommand::Validate(args) => Job::Validate(stage(args.stage, command_line)?),
+        JobCommand::Verify(args) => Job::Verify(verify(args, command_line)?),
     })
 }
 

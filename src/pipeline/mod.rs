@@ -17,7 +17,9 @@ mod verify;
 mod view;
 mod world;
 
+pub use crate::bounce::Bounces;
 pub use crate::gather::maps::MapsSettings;
+pub use crate::gather::rays::cone::Falloff;
 pub use info::{
     AnimationSummary, BrokenReference, GeometrySummary, JobReads, LightSummary, MaterialSummary,
     RenderSummary, StageSummary, Suspicion, TextureSummary, TreeEntry, info,
