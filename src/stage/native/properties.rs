@@ -320,7 +320,7 @@ impl<'a> Properties<'a> {
 
     /// Value and `varying`. At a time the first site with samples or a default decides; without, the first default.
     fn value(&self, specs: &Specs<'_>, attribute: &mut RawAttribute) -> Result<(), Fault> {
-        let mut decided = false;
+        let (mut decided, mut is_sampled) = (false, false);
         for (opinions, at) in specs {
             let resolve = |authored: &str| self.files.resolve_value(authored, &opinions.site.layer);
             if !decided
@@ -331,6 +331,7 @@ impl<'a> Properties<'a> {
                 let samples = opinions.field(at, FieldKey::TimeSamples.as_str())?;
                 if let Some(sdf::Value::TimeSamples(samples)) = samples.as_deref() {
                     decided = true;
+                    is_sampled = !samples.is_empty();
                     attribute.varying = samples.len() > 1;
                     if let Some(time) = self.request.time {
                         let samples = Samples {
@@ -357,7 +358,7 @@ impl<'a> Properties<'a> {
                 return Ok(());
             }
         }
-        attribute.varying |= decided;
+        attribute.varying |= is_sampled;
         Ok(())
     }
 
