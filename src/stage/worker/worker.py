@@ -79,27 +79,45 @@ class Arrays:
         return offset
 
     def write(self, folders):
-        """Path of the file that holds them, in the first of `folders` with room; "" when there is nothing to hold."""
+        """Path of the file that holds them, in the first of `folders` with room; "" when there is nothing to hold.
+
+        Each array is let go once it is written, so that there are no two copies of all of them.
+        """
         if self.size == 0:
             return ""
-        problem = None
+        partial = problem = None
         for folder in folders:
             handle, path = tempfile.mkstemp(dir=folder)
-            with os.fdopen(handle, "wb") as file:
-                try:
-                    if hasattr(os, "fstatvfs"):
-                        room = os.fstatvfs(file.fileno())
-                        if room.f_bavail * room.f_frsize < self.size:
-                            raise OSError("%d bytes do not fit into %s" % (self.size, folder))
-                    for offset, array in self.items:
-                        if array.nbytes:
-                            file.seek(offset)
-                            file.write(array.reshape(-1).view(numpy.uint8).data)
-                    return path
-                except OSError as error:
-                    problem = error
-            os.remove(path)
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    self.write_to(file, folder, partial)
+                if partial:
+                    os.remove(partial)
+                return path
+            except OSError as error:
+                problem = error
+                if partial:
+                    os.remove(path)
+                else:
+                    partial = path  # what was let go is there alone
+        os.remove(partial)
         raise problem
+
+    def write_to(self, file, folder, partial):
+        if hasattr(os, "fstatvfs"):
+            room = os.fstatvfs(file.fileno())
+            if room.f_bavail * room.f_frsize < self.size:
+                raise OSError("%d bytes do not fit into %s" % (self.size, folder))
+        if partial:
+            with open(partial, "rb") as written:
+                shutil.copyfileobj(written, file, 1 << 20)
+        while self.items:
+            offset, array = self.items[-1]
+            if array.nbytes:
+                file.seek(offset)
+                file.write(array.reshape(-1).view(numpy.uint8).data)
+            file.flush()
+            self.items.pop()
 
 
 def scalar_value(value):
