@@ -2,7 +2,7 @@
 
 use super::super::raw::{
     MaterialxReference, RawAttribute, RawMeta, RawPrim, RawRelationship, RawStage, ReadCounts,
-    Value,
+    Sample, Value,
 };
 use super::array_file::ArrayFile;
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
@@ -77,6 +77,7 @@ struct Attribute {
     connections: Vec<String>,
     #[serde(default)]
     varying: bool,
+    held: Option<(Number, Content)>,
 }
 
 /// A value by kind, as `worker.py` spells them.
@@ -211,6 +212,13 @@ impl Attribute {
             color_space: self.color_space,
             connections: self.connections,
             varying: self.varying,
+            held: match self.held {
+                Some((time, value)) => Some(Sample {
+                    time: time.0,
+                    value: value.into_raw(arrays)?,
+                }),
+                None => None,
+            },
         })
     }
 }
