@@ -319,6 +319,18 @@ fn usage_errors_exit_with_two() {
         &["render", ROOM, "-o", "x.exr", "--frames", "abc"],
         &["info", ROOM, "--variant", "Car{shape=tall}"],
         &["info", ROOM, "--load", "some"],
+        &["bake", ROOM, "-o", "x.usdc", "--falloff", "linear"],
+        &[
+            "bake",
+            ROOM,
+            "-o",
+            "x.usdc",
+            "--falloff",
+            "cubic",
+            "--max-distance",
+            "1",
+        ],
+        &["bake", ROOM, "-o", "x.usdc", "--cone-angle", "91"],
         &["paint", ROOM],
     ] {
         let result = run(args);

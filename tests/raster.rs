@@ -92,6 +92,7 @@ impl<'a> Fixture<'a> {
             rays,
             turn: 0.3,
             max_distance: None,
+            cone: None,
         };
         self.gather(
             &RaysEngine::new(&self.tracer, Some(source), settings),

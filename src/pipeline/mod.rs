@@ -23,8 +23,8 @@ pub use info::{
     RenderSummary, StageSummary, Suspicion, TextureSummary, TreeEntry, info,
 };
 pub use job::{
-    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OutputJob, PointsJob, Purposed,
-    RenderJob, StageJob, VerifyJob,
+    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OcclusionKind, OutputJob, PointsJob,
+    Purposed, RenderJob, StageJob, VerifyJob,
 };
 pub use report::{Counts, ErrorReport, ReadReport, Report, Seconds};
 pub use validate::{CheckSummary, ValidationReport, validate};
