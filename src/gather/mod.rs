@@ -93,6 +93,19 @@ pub trait Engine: Sync + Debug {
         BLOCK
     }
 
+    /// Look at all of `receivers` before any block is seen, where what one sees is found out together with others: an
+    /// engine that knows the answers. `None`: every block is seen for itself.
+    ///
+    /// # Errors
+    /// When cancelled.
+    fn survey(
+        &self,
+        _receivers: &Receivers,
+        _diagnostics: &Diagnostics,
+    ) -> Result<Option<Box<dyn Engine + '_>>, Cancelled> {
+        Ok(None)
+    }
+
     /// True if a block is seen the faster the nearer to each other its receivers are: [`gather`] then hands neighbors
     /// over together, in receivers of their own. What one sees must not depend on the others beyond the engine's error.
     fn gains_from_neighbors(&self) -> bool {
@@ -135,6 +148,11 @@ pub fn gather(
     diagnostics: &Diagnostics,
 ) -> Result<Results, Cancelled> {
     let work = Work::plan(scene, aovs);
+    let surveyed = match work.hemisphere {
+        true => engine.survey(receivers, diagnostics)?,
+        false => None,
+    };
+    let engine = surveyed.as_deref().unwrap_or(engine);
     let phase = diagnostics.phase("gather", "receivers", receivers.len() as u64);
     let mut results = empty_results(aovs, receivers.len());
     let order = (work.gains_from_neighbors(engine))
@@ -168,18 +186,21 @@ pub fn neighbors(receivers: &Receivers) -> Vec<usize> {
     neighbors::order(&receivers.position, &receivers.normal)
 }
 
-/// The groups of neighbors that [`gather`] hands over together and that have any of `picks` in them: indices of all their
-/// members among `receivers`, whole groups in order, and where among these each of `picks` is.
+/// Receivers that tell what some of them see where neighbors share work: as many as share it, and as many again around.
+pub(crate) const GROUP: usize = 2 * BLOCK;
+
+/// The groups of 128 neighbors, cut from [`neighbors`], that have any of `picks` in them: indices of all their members
+/// among `receivers`, whole groups in order, and where among these each of `picks` is.
 pub fn groups(receivers: &Receivers, picks: &[usize]) -> (Vec<usize>, Vec<usize>) {
     let order = neighbors(receivers);
     let mut place_of = vec![0; order.len()];
     for (place, &i) in order.iter().enumerate() {
         place_of[i] = place;
     }
-    let mut groups: Vec<usize> = picks.iter().map(|&i| place_of[i] / BLOCK).collect();
+    let mut groups: Vec<usize> = picks.iter().map(|&i| place_of[i] / GROUP).collect();
     groups.sort_unstable();
     groups.dedup();
-    let members = |group: &usize| group * BLOCK..((group + 1) * BLOCK).min(order.len());
+    let members = |group: &usize| group * GROUP..((group + 1) * GROUP).min(order.len());
     let all: Vec<usize> = groups.iter().flat_map(members).collect();
     let place = |&i: &usize| all.partition_point(|&place| place < place_of[i]);
     let places = picks.iter().map(place).collect();

@@ -16,8 +16,8 @@ pub(super) const RASTER_KNOBS: [(f32, u32); 5] =
 /// Rays that judge where no pilot has.
 pub(super) const REFERENCE_RAYS: u32 = 1024;
 
-/// What a receiver of the reference costs over one of this engine: measured between 8 and 15.
-pub(super) const REFERENCE_COST: u32 = 12;
+/// What a receiver of the reference costs over one of this engine: measured between 4 and 9.
+pub(super) const REFERENCE_COST: u32 = 6;
 
 /// Gathers by the raster engine and rays.
 #[derive(Debug)]

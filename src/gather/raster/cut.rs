@@ -5,7 +5,7 @@
 //! that are much smaller.
 
 use super::RasterEngine;
-use super::group::Group;
+use super::group::{Disk, Group};
 use super::probe::{self, Answers};
 use super::transport::Area;
 use crate::octree::{Node, NodeKind};
@@ -35,8 +35,7 @@ pub(super) struct Doubt {
 #[derive(Debug)]
 pub(super) struct Close {
     pub(super) area: Area,
-    /// Bits of the receivers that it is near to.
-    pub(super) near: u64,
+    pub(super) disk: Disk,
     /// In [`Cut::doubts`]; `None`: it is in full view.
     pub(super) doubt: Option<usize>,
 }
@@ -48,7 +47,7 @@ pub(super) struct Cut {
     pub(super) doubtful: Vec<Area>,
     pub(super) doubts: Vec<Doubt>,
     pub(super) close: Vec<Close>,
-    /// Surfels by their place in leaf order, and the receivers that they are near to.
+    /// Surfels by their place in leaf order, and bits of the receivers of the core that they are near to.
     pub(super) near: Vec<(u32, u64)>,
 }
 
@@ -92,22 +91,26 @@ impl Cutter<'_> {
     fn visit(&mut self, index: usize, mut sight: Sight, pending: &mut Vec<(usize, Sight)>) {
         let (engine, group) = (self.engine, self.group);
         let node = &engine.octree.node(index);
-        if is_dark(node, engine.heights[index], group) {
+        if is_hidden(node, engine.heights[index], group) {
             return;
         }
         let squared = group.nearest_squared(node.center);
+        if node.reflected_power == Vec3::ZERO && !is_lit_anew(engine, squared, node.radius) {
+            return;
+        }
         let knobs = &engine.knobs;
         if squared.sqrt() - node.radius > knobs.max_distance {
             return;
         }
         let solid_angle = node.area.max(node.extent_area()) / squared;
-        let is_outside = squared > (OPENED_RADII * node.radius).powi(2);
+        let is_outside =
+            squared > (OPENED_RADII * node.radius).powi(2) && node.reflected_power != Vec3::ZERO;
         let kind = node.kind();
         let is_small = solid_angle <= knobs.max_solid_angle;
         if sight == Sight::Unknown && is_outside && solid_angle <= knobs.max_asked {
             let surfels = engine.surfels[index].clone();
             let mean = node.reflected_power.element_sum() / (PI * node.area);
-            let answers = probe::ask(engine, group, (&surfels, mean), (knobs.rays, 0));
+            let answers = probe::ask(engine, group, (&surfels, mean), (knobs.rays, None));
             sight = match (answers.verdict(), is_small) {
                 (Some(false), _) => return,
                 (Some(true), _) => Sight::Full,
@@ -120,7 +123,7 @@ impl Cutter<'_> {
         }
         if sight != Sight::Unknown && is_outside && solid_angle <= knobs.max_area {
             if let Some(area) = area_of(engine, node, group.center) {
-                self.add(area, sight, 0);
+                self.add(area, sight, None);
             }
             return;
         }
@@ -146,14 +149,14 @@ impl Cutter<'_> {
         Sight::Partly(self.cut.doubts.len() - 1)
     }
 
-    /// An area that is near to the receivers of `near`.
-    fn add(&mut self, area: Area, sight: Sight, near: u64) {
+    /// An area; of a surfel that some receivers are `near` to.
+    fn add(&mut self, area: Area, sight: Sight, near: Option<Disk>) {
         let doubt = match sight {
             Sight::Partly(doubt) => Some(doubt),
             Sight::Unknown | Sight::Full => None,
         };
-        if near != 0 {
-            self.cut.close.push(Close { area, near, doubt });
+        if let Some(disk) = near {
+            self.cut.close.push(Close { area, disk, doubt });
         } else if let Some(doubt) = doubt {
             self.cut.doubtful.push(area);
             self.cut.doubts[doubt].areas.end = self.cut.doubtful.len();
@@ -166,9 +169,10 @@ impl Cutter<'_> {
     fn add_surfel(&mut self, i: usize, mut sight: Sight) {
         let (engine, group) = (self.engine, self.group);
         let surfels = engine.octree.surfels();
-        let disk = (surfels.position(i), surfels.normal(i), surfels.radius(i));
-        let (position, normal, radius) = disk;
-        if surfels.reflected(i) == Vec3::ZERO
+        let (position, normal, radius) =
+            (surfels.position(i), surfels.normal(i), surfels.radius(i));
+        let is_dark = surfels.reflected(i) == Vec3::ZERO;
+        if (is_dark && engine.near_light.is_none())
             || !group.is_above(position, normal, (radius, 0.0))
             || !group.is_faced_by(position, normal, radius)
         {
@@ -179,18 +183,15 @@ impl Cutter<'_> {
             reason = "surfels have 32-bit numbers"
         )]
         let place = i as u32;
-        let reach = engine.knobs.near_radii * radius;
-        let mut near = 0;
-        if group.nearest_squared(position) < reach * reach {
-            near = group.within(disk, reach);
-            if near != 0 {
-                self.cut.near.push((place, near));
-            }
+        let near = self.near((place, position, normal, radius));
+        if is_dark {
+            return;
         }
         if sight == Sight::Unknown {
             let one = place..place + 1;
             let mean = surfels.reflected(i).element_sum();
-            let answers = probe::ask(engine, group, (&one, mean), (engine.knobs.rays, near));
+            let rays = (engine.knobs.rays, near.as_ref());
+            let answers = probe::ask(engine, group, (&one, mean), rays);
             sight = match answers.verdict() {
                 Some(true) => Sight::Full,
                 None if !answers.is_empty() => self.doubt((one, mean), answers),
@@ -205,13 +206,43 @@ impl Cutter<'_> {
         };
         self.add(area, sight, near);
     }
+
+    /// The surfel as a disk, if it is near to any receiver.
+    fn near(&mut self, (place, position, normal, radius): (u32, Vec3, Vec3, f32)) -> Option<Disk> {
+        let reach = self.engine.knobs.near_radii * radius;
+        if self.group.nearest_squared(position) >= reach * reach {
+            return None;
+        }
+        let disk = Disk {
+            position,
+            normal,
+            radius,
+            reach,
+        };
+        let is_near = |&i: &usize| self.group.is_near(i, &disk);
+        let core = (0..self.group.core).filter(is_near);
+        let core = core.fold(0, |mask, i| mask | 1 << i);
+        if core != 0 {
+            self.cut.near.push((place, core));
+        }
+        let anyone = core != 0 || (self.group.core..self.group.len()).any(|i| is_near(&i));
+        anyone.then_some(disk)
+    }
 }
 
-/// True if nothing of `node` sends light to any receiver.
+/// True if what is dark within `radius` of a place at this squared distance may have to be lit anew: what is seen from near
+/// by has the light of its own place, not the mean of its surfel, which a few rays to the lights found to be nothing.
 #[inline(always)]
-fn is_dark(node: &Node, height: f32, group: &Group) -> bool {
+fn is_lit_anew(engine: &RasterEngine<'_>, squared: f32, radius: f32) -> bool {
+    let reach = radius * (1.0 + engine.knobs.near_radii);
+    engine.near_light.is_some() && squared < reach * reach
+}
+
+/// True if nothing of `node` is seen by any receiver.
+#[inline(always)]
+fn is_hidden(node: &Node, height: f32, group: &Group) -> bool {
     let size = (node.radius, height);
-    if node.reflected_power == Vec3::ZERO || !group.is_above(node.center, node.normal, size) {
+    if !group.is_above(node.center, node.normal, size) {
         return true;
     }
     let offset = group.center - node.center;

@@ -24,7 +24,7 @@ pub(super) fn add(
     let of_areas = |doubt: &Doubt| light(&cut.doubtful[doubt.areas.clone()]);
     let mut full: Vec<Vec<Vec3>> = cut.doubts.iter().map(of_areas).collect();
     for close in &cut.close {
-        for i in (0..group.len()).filter(|i| close.near >> i & 1 == 0) {
+        for i in (0..group.len()).filter(|&i| !group.is_near(i, &close.disk)) {
             let place = (group.positions[i], group.normals[i]);
             let max_distance = engine.knobs.max_distance;
             let seen = close.area.seen_from(place.0, place.1, max_distance);
@@ -61,7 +61,7 @@ fn add_one(
     )]
     let rays = (engine.knobs.more_rays * (part / usual).min(1.0)) as usize;
     let cluster = (&doubt.surfels, doubt.mean);
-    probe::more(engine, group, cluster, (rays, 0), &mut answers);
+    probe::more(engine, group, cluster, (rays, None), &mut answers);
     let fit = answers.fitted(group);
     for ((sum, full), &place) in sums.iter_mut().zip(full).zip(&group.across) {
         *sum += *full * fit.at(place);

@@ -1,23 +1,33 @@
 //! Receivers that share a cut.
 
+use super::windows::{MOST, Window};
 use crate::math::{Bounds3, Frame};
 use crate::receivers::Receivers;
 use crate::trace::Tracer;
 use glam::Vec3;
-use std::ops::Range;
 
-/// Most receivers of a group.
-pub(super) const MOST: usize = 64;
-
-/// Normals of a group are within 45° of that of its first receiver.
-const LEAST_COSINE: f32 = 0.7;
+/// Most receivers of the core of a group.
+pub(super) const CORE: usize = 64;
 
 /// Share of its radius that an element rises over a horizon before it counts as above: rounding lifts coplanar ones.
 const RISE: f32 = 1e-4;
 
 const LANES: usize = 16;
 
-/// Neighbors turned to the same side, up to [`MOST`].
+/// Rows of the largest group.
+const ROWS: usize = MOST / LANES;
+
+/// A surfel, and what is near to it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Disk {
+    pub(super) position: Vec3,
+    pub(super) normal: Vec3,
+    pub(super) radius: f32,
+    /// Receivers in front of it within this distance are near.
+    pub(super) reach: f32,
+}
+
+/// The members of a [`Window`].
 #[derive(Debug)]
 pub(super) struct Group {
     pub(super) positions: Vec<Vec3>,
@@ -31,72 +41,30 @@ pub(super) struct Group {
     pub(super) radius: f32,
     /// Places across the mean normal, about `center`, in units of `radius`.
     pub(super) across: Vec<[f32; 2]>,
-    /// [`LANES`] receivers each.
-    rows: usize,
+    /// The first of them are the core, at most [`CORE`].
+    pub(super) core: usize,
     /// Positions and normals by component, the last receiver repeated.
-    place: [[f32; MOST]; 3],
-    normal: [[f32; MOST]; 3],
+    rows: Vec<Row>,
+    /// Boxes around the rows: lower and upper corner by component, the last one repeated.
+    boxes: [[[f32; ROWS]; 3]; 2],
 }
 
-/// The receivers of `block` in groups of at most [`MOST`] within `max_radius` of each other's middle.
-pub(super) fn alike(
-    receivers: &Receivers,
-    block: Range<usize>,
-    max_radius: f32,
-) -> Vec<Vec<usize>> {
-    let mut groups = Vec::new();
-    let mut left: Vec<usize> = block.collect();
-    while let Some(&first) = left.first() {
-        let axis = receivers.normal[first];
-        let is_alike = |i: &usize| *i == first || receivers.normal[*i].dot(axis) > LEAST_COSINE;
-        let (group, rest): (Vec<usize>, Vec<usize>) = left.into_iter().partition(is_alike);
-        for members in group.chunks(MOST) {
-            halve(
-                &receivers.position,
-                members.to_vec(),
-                max_radius,
-                &mut groups,
-            );
-        }
-        left = rest;
-    }
-    groups
-}
-
-/// Cut `members` in two along their box's longest side until none is farther than `max_radius` from its center.
-fn halve(
-    positions: &[Vec3],
-    mut members: Vec<usize>,
-    max_radius: f32,
-    groups: &mut Vec<Vec<usize>>,
-) {
-    let bounds = Bounds3::around(members.iter().map(|&i| positions[i]));
-    if members.len() == 1 || 0.5 * bounds.diagonal() <= max_radius {
-        groups.push(members);
-        return;
-    }
-    let size = bounds.max - bounds.min;
-    let axis = usize::from(size.y > size.x);
-    let axis = if size.z > size[axis] { 2 } else { axis };
-    let at = |i: usize| positions[i][axis];
-    members.sort_by(|&a, &b| at(a).total_cmp(&at(b)).then(a.cmp(&b)));
-    let upper = members.split_off(members.len() / 2);
-    halve(positions, members, max_radius, groups);
-    halve(positions, upper, max_radius, groups);
+/// Some receivers by component.
+#[derive(Debug)]
+struct Row {
+    place: [[f32; LANES]; 3],
+    normal: [[f32; LANES]; 3],
 }
 
 impl Group {
-    /// Of `members` (1…[`MOST`]) of `receivers`.
-    pub(super) fn new(tracer: &Tracer, receivers: &Receivers, members: &[usize]) -> Self {
+    /// The members of `window`, out of `receivers`.
+    pub(super) fn new(tracer: &Tracer, receivers: &Receivers, window: &Window) -> Self {
+        let members = &window.members;
         let pick = |column: &[Vec3]| -> Vec<Vec3> { members.iter().map(|&i| column[i]).collect() };
         let (positions, normals) = (pick(&receivers.position), pick(&receivers.normal));
         let lift = |&i: &usize| tracer.lift(receivers.position[i], receivers.rim_normal(i));
-        let center = positions.iter().sum::<Vec3>() / positions.len() as f32;
+        let center = window.center;
         let distance = |p: &Vec3| p.distance(center);
-        let last = positions.len() - 1;
-        let by_component = |column: &[Vec3]| {
-            [0, 1, 2].map(|axis| std::array::from_fn(|i| column[i.min(last)][axis]))
-        };
         let radius = positions.iter().map(distance).fold(0.0, f32::max);
         let mean = normals.iter().sum::<Vec3>().normalize_or(normals[0]);
         let frame = Frame::about(mean);
@@ -104,15 +72,18 @@ impl Group {
             let offset = (*p - center) / radius.max(f32::MIN_POSITIVE);
             [offset.dot(frame.tangent), offset.dot(frame.bitangent)]
         };
+        let rows = positions.chunks(LANES).zip(normals.chunks(LANES));
         Self {
             across: positions.iter().map(across).collect(),
             origins: members.iter().map(lift).collect(),
             lifts: positions.iter().map(|&p| tracer.lift_height(p)).collect(),
             center,
             radius,
-            rows: positions.len().div_ceil(LANES),
-            place: by_component(&positions),
-            normal: by_component(&normals),
+            core: window.core,
+            boxes: boxes(&positions),
+            rows: rows
+                .map(|(places, normals)| Row::new(places, normals))
+                .collect(),
             positions,
             normals,
         }
@@ -128,18 +99,21 @@ impl Group {
         self.positions.len()
     }
 
-    /// Squared distance of `point` from the nearest receiver.
+    /// Squared distance of `point` from the nearest receiver; a little less where rows of them have gaps.
     #[inline(always)]
     pub(super) fn nearest_squared(&self, point: Vec3) -> f32 {
-        let mut least = [f32::INFINITY; LANES];
-        for row in (0..self.rows * LANES).step_by(LANES) {
-            for (lane, least) in least.iter_mut().enumerate() {
-                let [x, y, z] = self.offset_to(row + lane, point);
-                let squared = x * x + y * y + z * z;
-                *least = if squared < *least { squared } else { *least };
+        let mut squared = [0.0_f32; ROWS];
+        let [lower, upper] = &self.boxes;
+        for (axis, x) in point.to_array().into_iter().enumerate() {
+            for lane in 0..ROWS {
+                let below = lower[axis][lane] - x;
+                let above = x - upper[axis][lane];
+                let out = if below > above { below } else { above };
+                let out = if out > 0.0 { out } else { 0.0 };
+                squared[lane] += out * out;
             }
         }
-        least.into_iter().fold(f32::INFINITY, f32::min)
+        squared.into_iter().fold(f32::INFINITY, f32::min)
     }
 
     /// True if part of a slab lies above the horizon of some receiver: what is within `radius` of `center` and no farther
@@ -148,11 +122,10 @@ impl Group {
     pub(super) fn is_above(&self, center: Vec3, axis: Vec3, (radius, height): (f32, f32)) -> bool {
         let least = RISE * radius;
         let mut above = [false; LANES];
-        for row in (0..self.rows * LANES).step_by(LANES) {
+        for row in &self.rows {
             for (lane, above) in above.iter_mut().enumerate() {
-                let i = row + lane;
-                let [x, y, z] = self.offset_to(i, center);
-                let n = [self.normal[0][i], self.normal[1][i], self.normal[2][i]];
+                let [x, y, z] = row.offset_to(lane, center);
+                let n = row.normal.map(|component| component[lane]);
                 let cosine = n[0] * axis.x + n[1] * axis.y + n[2] * axis.z;
                 let squared = 1.0 - cosine * cosine;
                 let sine = if squared > 0.0 { squared.sqrt() } else { 0.0 };
@@ -173,9 +146,9 @@ impl Group {
     pub(super) fn is_faced_by(&self, point: Vec3, normal: Vec3, radius: f32) -> bool {
         let least = RISE * radius;
         let mut facing = [false; LANES];
-        for row in (0..self.rows * LANES).step_by(LANES) {
+        for row in &self.rows {
             for (lane, facing) in facing.iter_mut().enumerate() {
-                let [x, y, z] = self.offset_to(row + lane, point);
+                let [x, y, z] = row.offset_to(lane, point);
                 *facing = -(normal.x * x + normal.y * y + normal.z * z) > least;
             }
             if facing.contains(&true) {
@@ -185,22 +158,45 @@ impl Group {
         false
     }
 
-    /// Bits of receivers in front of the disk and within `reach` of its center.
-    pub(super) fn within(&self, (point, normal, radius): (Vec3, Vec3, f32), reach: f32) -> u64 {
-        let is_near = |&(_, place): &(usize, &Vec3)| {
-            let offset = *place - point;
-            offset.length_squared() < reach * reach && normal.dot(offset) > RISE * radius
+    /// True if member `i` is near to `disk`. It is the same in every group.
+    #[inline(always)]
+    pub(super) fn is_near(&self, i: usize, disk: &Disk) -> bool {
+        let offset = self.positions[i] - disk.position;
+        offset.length_squared() < disk.reach * disk.reach
+            && disk.normal.dot(offset) > RISE * disk.radius
+    }
+}
+
+impl Row {
+    /// Of up to [`LANES`] receivers.
+    fn new(places: &[Vec3], normals: &[Vec3]) -> Self {
+        let last = places.len() - 1;
+        let by_component = |column: &[Vec3]| {
+            [0, 1, 2].map(|axis| std::array::from_fn(|i| column[i.min(last)][axis]))
         };
-        let near = self.positions.iter().enumerate().filter(is_near);
-        near.fold(0, |mask, (i, _)| mask | 1 << i)
+        Self {
+            place: by_component(places),
+            normal: by_component(normals),
+        }
     }
 
     #[inline(always)]
-    fn offset_to(&self, i: usize, point: Vec3) -> [f32; 3] {
+    fn offset_to(&self, lane: usize, point: Vec3) -> [f32; 3] {
         [
-            point.x - self.place[0][i],
-            point.y - self.place[1][i],
-            point.z - self.place[2][i],
+            point.x - self.place[0][lane],
+            point.y - self.place[1][lane],
+            point.z - self.place[2][lane],
         ]
     }
+}
+
+/// Boxes around rows of `positions`.
+fn boxes(positions: &[Vec3]) -> [[[f32; ROWS]; 3]; 2] {
+    let around = |row: &[Vec3]| Bounds3::around(row.iter().copied());
+    let rows: Vec<Bounds3> = positions.chunks(LANES).map(around).collect();
+    let last = rows.len() - 1;
+    let corner = |of: fn(&Bounds3) -> Vec3| {
+        [0, 1, 2].map(|axis| std::array::from_fn(|i| of(&rows[i.min(last)])[axis]))
+    };
+    [corner(|row| row.min), corner(|row| row.max)]
 }

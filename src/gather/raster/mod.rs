@@ -1,14 +1,16 @@
 //! The fast gather of reflected light: one cut through the octree for a group of neighbors, areas instead of
 //! directions. PBGI §6.1, modernized.
 //!
-//! Receivers that stand and look alike share a cut (`cut`). What the group sees of a cluster is found out by a few rays
-//! from its members to surfels of the cluster (`probe`), large clusters first: where they agree the whole cluster is seen or
-//! not, where they differ it is opened, and of what is small and still partly hidden more rays tell a share that changes
-//! evenly across the group (`doubt`). How much light a cluster sends to a receiver is then not sampled but computed, of parts
-//! of it that are smaller still, for each receiver from its own place (`transport`), so that sharing costs no parallax and
-//! errors are those of shadow borders alone. Surfels nearer than a few radii are seen by short rays in directions that all
-//! receivers share (`near`). All rays meet the scene's own geometry: nothing leaks through thin walls. Finer knobs make
-//! groups smaller too, down to single receivers: what neighbors may say for each other is a knob like the others.
+//! Receivers that stand and look alike, and see each other, share a cut (`cut`). What the group sees of a cluster is found
+//! out by a few rays from its members to surfels of the cluster (`probe`), large clusters first: where they agree the whole
+//! cluster is seen or not, where they differ it is opened, and of what is small and still partly hidden more rays tell a share
+//! that changes evenly across the group (`doubt`). How much light a cluster sends to a receiver is then not sampled but
+//! computed, of parts of it that are smaller still, for each receiver from its own place (`transport`), so that sharing costs
+//! no parallax and errors are those of shadow borders alone. Surfels nearer than a few radii are seen by short rays in
+//! directions that all receivers share (`near`). All rays meet the scene's own geometry: nothing leaks through thin walls.
+//! Groups overlap, and what they tell of a receiver is averaged, so that no borders between them are seen (`windows`). They
+//! are small where things that cast shadows are near, and the smaller the finer the knobs: what neighbors may say for each
+//! other is a knob like the others.
 //!
 //! What lost, in a Cornell box with two balls, 105 472 surfels, pixels of a 256² picture, µs a receiver and error of the
 //! indirect irradiance:
@@ -34,8 +36,10 @@ mod group;
 mod near;
 mod probe;
 mod transport;
+mod windows;
 
 use super::{Engine, Hemisphere, HitLight};
+use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::octree::{NodeKind, Octree};
 use crate::receivers::Receivers;
 use crate::surfels::DiceMap;
@@ -46,6 +50,7 @@ use group::Group;
 use rayon::prelude::*;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::ops::Range;
+use windows::{Sizes, Window, Windows};
 
 /// How finely the engine looks.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -82,8 +87,7 @@ struct Knobs {
     rays: usize,
     /// Rays of a group to a cluster that is seen in part, if its light is as much as such clusters usually have.
     more_rays: f32,
-    /// Largest radius of a group, stage units.
-    max_radius: f32,
+    sizes: Sizes,
     max_distance: f32,
     /// Surfels closer than this many of their radii are near.
     near_radii: f32,
@@ -109,6 +113,9 @@ const ASKED_RATIO: f32 = 5.0;
 /// is taken to change evenly from one end of the group to the other.
 const GROUP_RATIO: f32 = 0.5;
 
+/// Radius of a core over that of its smallest cluster as far away as what is seen there, in the harmonic mean.
+const ROOM_RATIO: f32 = 1.5;
+
 impl Knobs {
     fn of(settings: RasterSettings, octree: &Octree) -> Self {
         let resolution = settings.raster_resolution.max(1);
@@ -126,7 +133,10 @@ impl Knobs {
             max_asked: (ASKED_RATIO * max_solid_angle).min(MAX_ASKED),
             rays: (resolution / 3).clamp(2, 64) as usize,
             more_rays: 0.25 * (resolution * resolution) as f32,
-            max_radius: GROUP_RATIO * cluster * away,
+            sizes: Sizes {
+                max_radius: GROUP_RATIO * cluster * away,
+                max_share: ROOM_RATIO * cluster,
+            },
             max_distance: settings.max_distance.unwrap_or(f32::INFINITY),
             near_radii: cut::NEAR_RADII * (NEAR_ANGLE / max_solid_angle).sqrt().clamp(1.0, 4.0),
         }
@@ -197,13 +207,48 @@ impl<'a> RasterEngine<'a> {
         }
     }
 
-    /// Irradiance of the receivers of `group`, in their order.
-    fn irradiance(&self, group: &Group) -> Vec<Vec3> {
+    /// Irradiance of all `receivers`.
+    fn irradiance(
+        &self,
+        receivers: &Receivers,
+        diagnostics: &Diagnostics,
+    ) -> Result<Vec<Vec3>, Cancelled> {
+        let windows = Windows::new(self.tracer, receivers, self.knobs.sizes);
+        let mut near = vec![Vec3::ZERO; receivers.len()];
+        let mut far = vec![(Vec3::ZERO, 0.0_f32); receivers.len()];
+        let phase = diagnostics.phase("survey", "receivers", receivers.len() as u64);
+        let all: Vec<usize> = (0..windows.len()).collect();
+        for batch in all.chunks(BATCH) {
+            let look = |&index: &usize| {
+                diagnostics.check()?;
+                let window = windows.window(index);
+                let light = self.look(&Group::new(self.tracer, receivers, &window));
+                phase.advance(window.core as u64);
+                Ok((window, light))
+            };
+            let seen: Vec<(Window, Light)> =
+                batch.par_iter().map(look).collect::<Result<_, _>>()?;
+            for (window, light) in seen {
+                for (&i, light) in window.members.iter().zip(light.near) {
+                    near[i] = light;
+                }
+                for ((&i, weight), light) in
+                    window.members.iter().zip(window.weights).zip(light.far)
+                {
+                    far[i].0 += light * weight;
+                    far[i].1 += weight;
+                }
+            }
+        }
+        let sum = |(near, (far, weight)): (Vec3, (Vec3, f32))| near + far / weight;
+        Ok(near.into_iter().zip(far).map(sum).collect())
+    }
+
+    fn look(&self, group: &Group) -> Light {
         let cut = dispatch!(self.level, simd => {
             let _ = simd;
             cut::find(self, group)
         });
-        let mut sums = near::irradiance(self, group, &cut.near);
         let max_distance = self.knobs.max_distance;
         let seen = |areas: &[transport::Area]| -> Vec<Vec3> {
             dispatch!(self.level, simd => {
@@ -211,13 +256,24 @@ impl<'a> RasterEngine<'a> {
                 transport::irradiance(group, areas, max_distance)
             })
         };
-        for (sum, far) in sums.iter_mut().zip(seen(&cut.seen)) {
-            *sum += far;
+        let mut far = seen(&cut.seen);
+        doubt::add(self, group, &cut, &seen, &mut far);
+        Light {
+            near: near::irradiance(self, group, &cut.near),
+            far,
         }
-        doubt::add(self, group, &cut, &seen, &mut sums);
-        sums
     }
 }
+
+/// What members of a group receive.
+struct Light {
+    /// Of surfels near to them; only the core.
+    near: Vec<Vec3>,
+    far: Vec<Vec3>,
+}
+
+/// Windows that are looked at before their light is added up, in their order.
+const BATCH: usize = 4096;
 
 /// Surfels below each node.
 fn surfels_of_nodes(octree: &Octree) -> Vec<Range<u32>> {
@@ -261,31 +317,70 @@ impl Engine for RasterEngine<'_> {
         scratch: &mut Hemisphere,
         visit: &mut dyn FnMut(usize, &Hemisphere),
     ) {
-        let start = block.start;
-        let mut irradiance = vec![Vec3::ZERO; block.len()];
-        for members in group::alike(receivers, block.clone(), self.knobs.max_radius) {
-            let group = Group::new(self.tracer, receivers, &members);
-            for (&i, value) in members.iter().zip(self.irradiance(&group)) {
-                irradiance[i - start] = value;
-            }
-        }
-        for i in block {
-            scratch.clear();
-            scratch.direction.push(receivers.normal[i]);
-            scratch.weight.push(PI);
-            scratch.coverage.push(1.0);
-            scratch.distance.push(0.0);
-            scratch.reflected.push(irradiance[i - start] * FRAC_1_PI);
-            scratch.emitted.push(Vec3::ZERO);
+        let alone = receivers.subset(&block.clone().collect::<Vec<_>>());
+        let irradiance = (self.irradiance(&alone, &Diagnostics::default()))
+            .expect("nobody holds the token to cancel it with");
+        for (i, irradiance) in block.zip(irradiance) {
+            one_direction(receivers.normal[i], irradiance, scratch);
             visit(i, scratch);
         }
     }
 
     fn name(&self) -> &'static str {
-        "raster"
+        NAME
     }
 
-    fn gains_from_neighbors(&self) -> bool {
-        true
+    fn survey(
+        &self,
+        receivers: &Receivers,
+        diagnostics: &Diagnostics,
+    ) -> Result<Option<Box<dyn Engine + '_>>, Cancelled> {
+        Ok(Some(Box::new(Surveyed {
+            irradiance: self.irradiance(receivers, diagnostics)?,
+            max_distance: self.knobs.max_distance,
+        })))
     }
+}
+
+const NAME: &str = "raster";
+
+/// What all receivers of a run see.
+#[derive(Debug)]
+struct Surveyed {
+    irradiance: Vec<Vec3>,
+    max_distance: f32,
+}
+
+impl Engine for Surveyed {
+    fn max_distance(&self) -> f32 {
+        self.max_distance
+    }
+
+    fn see(
+        &self,
+        receivers: &Receivers,
+        block: Range<usize>,
+        scratch: &mut Hemisphere,
+        visit: &mut dyn FnMut(usize, &Hemisphere),
+    ) {
+        for i in block {
+            one_direction(receivers.normal[i], self.irradiance[i], scratch);
+            visit(i, scratch);
+        }
+    }
+
+    fn name(&self) -> &'static str {
+        NAME
+    }
+}
+
+/// A hemisphere that tells no more than the irradiance of reflected light.
+fn one_direction(normal: Vec3, irradiance: Vec3, hemisphere: &mut Hemisphere) {
+    hemisphere.clear();
+    hemisphere.direction.push(normal);
+    hemisphere.weight.push(PI);
+    hemisphere.coverage.push(1.0);
+    hemisphere.distance.push(0.0);
+    hemisphere.reflected.push(irradiance * FRAC_1_PI);
+    hemisphere.emitted.push(Vec3::ZERO);
 }

@@ -5,7 +5,7 @@
 //! if that is near to its receiver. Nothing counts twice, and nothing is left out.
 
 use super::RasterEngine;
-use super::group::{self, Group};
+use super::group::{CORE, Group};
 use crate::math::bits::bits_of;
 use crate::math::sequence;
 use glam::{Mat3, Vec3};
@@ -37,13 +37,14 @@ impl Directions {
     }
 }
 
-/// Irradiance of each receiver of `group` from the surfels that are `near` to it: places in leaf order and receivers.
+/// Irradiance of each receiver of the core of `group` from the surfels that are `near` to it: places in leaf order and
+/// receivers.
 pub(super) fn irradiance(
     engine: &RasterEngine<'_>,
     group: &Group,
     near: &[(u32, u64)],
 ) -> Vec<Vec3> {
-    let mut sums = vec![Vec3::ZERO; group.len()];
+    let mut sums = vec![Vec3::ZERO; group.core];
     if near.is_empty() {
         return sums;
     }
@@ -52,13 +53,13 @@ pub(super) fn irradiance(
     let (asking, reach) = who_asks(engine, group, &near);
     let reach = reach.min(engine.knobs.max_distance);
     let surfels = engine.octree.surfels();
-    let mut hits = [None; group::MOST];
-    let mut starts = [Vec3::ZERO; group::MOST];
+    let mut hits = [None; CORE];
+    let mut starts = [Vec3::ZERO; CORE];
     for (&direction, &asking) in engine.directions.0.iter().zip(&asking) {
         if asking == 0 {
             continue;
         }
-        let starts = &mut starts[..group.len()];
+        let starts = &mut starts[..group.core];
         for (i, start) in starts.iter_mut().enumerate() {
             *start = group.start(i, direction);
         }

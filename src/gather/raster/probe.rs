@@ -1,7 +1,7 @@
 //! Rays between receivers of a group and surfels of a cluster: who sees how much of it.
 
 use super::RasterEngine;
-use super::group::Group;
+use super::group::{Disk, Group};
 use crate::octree::LeafSurfels;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -153,12 +153,12 @@ impl Fit {
 /// Surfels in leaf order, and their mean brightness.
 pub(super) type Cluster<'a> = (&'a Range<u32>, f32);
 
-/// Send `rays` between members of `group` (but those of `left_out`) and bright surfels of a cluster.
+/// Send `rays` between members of `group` (but those near to `left_out`) and bright surfels of a cluster.
 pub(super) fn ask(
     engine: &RasterEngine<'_>,
     group: &Group,
     cluster: Cluster<'_>,
-    (rays, left_out): (usize, u64),
+    (rays, left_out): (usize, Option<&Disk>),
 ) -> Answers {
     let mut answers = Answers(Vec::with_capacity(rays));
     more(engine, group, cluster, (rays, left_out), &mut answers);
@@ -168,13 +168,13 @@ pub(super) fn ask(
 /// As [`ask`], behind the `answers` that are there.
 #[expect(
     clippy::cast_possible_truncation,
-    reason = "a few rays, at most 64 members"
+    reason = "a few rays, at most 256 members"
 )]
 pub(super) fn more(
     engine: &RasterEngine<'_>,
     group: &Group,
     (surfels, mean): Cluster<'_>,
-    (rays, left_out): (usize, u64),
+    (rays, left_out): (usize, Option<&Disk>),
     answers: &mut Answers,
 ) {
     let targets = engine.targets.of(surfels);
@@ -184,7 +184,7 @@ pub(super) fn more(
         // Members and surfels alike are spread over the whole.
         let member = (first as usize + turn * group.len() / rays + turn / rays) % group.len();
         let part = (fraction(first) + turn as f32 * GOLDEN).fract();
-        if left_out >> member & 1 == 1 {
+        if left_out.is_some_and(|disk| group.is_near(member, disk)) {
             continue;
         }
         let target = pick(targets, part);

@@ -39,64 +39,91 @@ struct Row {
     position: [[f32; LANES]; 3],
     normal: [[f32; LANES]; 3],
     area: [f32; LANES],
+    /// Of disks as large, the largest: what is higher than that over a horizon is not cut by it.
+    radius: f32,
+    /// True if all have a normal.
+    is_flat: bool,
     light: [[f32; LANES]; 3],
 }
 
 /// Irradiance of all receivers of `group` from `areas`, none of them hidden.
-#[expect(
-    clippy::needless_range_loop,
-    reason = "lanes run through nine arrays at once"
-)]
 #[inline(always)]
 pub(super) fn irradiance(group: &Group, areas: &[Area], max_distance: f32) -> Vec<Vec3> {
     let rows: Vec<Row> = areas.chunks(LANES).map(row).collect();
     let squared = max_distance * max_distance;
     let mut sums = Vec::with_capacity(group.len());
-    for (&place, &normal) in group.positions.iter().zip(&group.normals) {
+    for (place, normal) in group.positions.iter().zip(&group.normals) {
         let mut sum = [[0.0; LANES]; 3];
         for row in &rows {
-            for lane in 0..LANES {
-                let offset = [
-                    row.position[0][lane] - place.x,
-                    row.position[1][lane] - place.y,
-                    row.position[2][lane] - place.z,
-                ];
-                let facing = [
-                    row.normal[0][lane],
-                    row.normal[1][lane],
-                    row.normal[2][lane],
-                ];
-                let seen = solid_angle(
-                    (offset, [normal.x, normal.y, normal.z]),
-                    (facing, row.area[lane]),
-                    squared,
-                );
-                sum[0][lane] += row.light[0][lane] * seen;
-                sum[1][lane] += row.light[1][lane] * seen;
-                sum[2][lane] += row.light[2][lane] * seen;
-            }
+            add(row, (place, normal), squared, &mut sum);
         }
         sums.push(Vec3::from(sum.map(|lanes| lanes.iter().sum::<f32>())));
     }
     sums
 }
 
+/// Adds what a receiver gets from the areas of a row to its `sum`, lane by lane.
+#[expect(
+    clippy::needless_range_loop,
+    reason = "lanes run through nine arrays at once"
+)]
+#[inline(always)]
+fn add(row: &Row, (place, normal): (&Vec3, &Vec3), max_squared: f32, sum: &mut [[f32; LANES]; 3]) {
+    let [mut squared, mut height, mut depth, mut seen] = [[0.0_f32; LANES]; 4];
+    let mut lowest = [f32::INFINITY; LANES];
+    for lane in 0..LANES {
+        let x = row.position[0][lane] - place.x;
+        let y = row.position[1][lane] - place.y;
+        let z = row.position[2][lane] - place.z;
+        squared[lane] = x * x + y * y + z * z;
+        height[lane] = normal.x * x + normal.y * y + normal.z * z;
+        depth[lane] =
+            -(row.normal[0][lane] * x + row.normal[1][lane] * y + row.normal[2][lane] * z);
+        lowest[lane] = height[lane];
+    }
+    let lowest = lowest.into_iter().fold(f32::INFINITY, f32::min);
+    if lowest >= row.radius && row.is_flat {
+        for lane in 0..LANES {
+            seen[lane] = point_to_point((row.area[lane], depth[lane]), height[lane], squared[lane]);
+        }
+    } else {
+        for lane in 0..LANES {
+            let facing = row.normal.map(|component| component[lane]);
+            let tilt = normal.x * facing[0] + normal.y * facing[1] + normal.z * facing[2];
+            seen[lane] = cut_by_horizon(
+                (row.area[lane], depth[lane], facing),
+                (height[lane], tilt),
+                squared[lane],
+            );
+        }
+    }
+    for lane in 0..LANES {
+        let is_within = squared[lane] > 0.0 && squared[lane] < max_squared;
+        let seen = if is_within { seen[lane] } else { 0.0 };
+        for axis in 0..3 {
+            sum[axis][lane] += row.light[axis][lane] * seen;
+        }
+    }
+}
+
 /// Up to [`LANES`] areas; the rest have none.
 fn row(areas: &[Area]) -> Row {
     let component = |value: fn(&Area) -> Vec3, axis: usize| {
-        std::array::from_fn(|lane| areas.get(lane).map_or(0.0, |area| value(area)[axis]))
+        std::array::from_fn(|lane| value(&areas[lane.min(areas.len() - 1)])[axis])
     };
     let vector = |value| [0, 1, 2].map(|axis| component(value, axis));
+    let radius = |area: &Area| (area.area * FRAC_1_PI).sqrt();
     Row {
         position: vector(|area| area.position),
         normal: vector(|area| area.normal),
         area: std::array::from_fn(|lane| areas.get(lane).map_or(0.0, |area| area.area)),
+        radius: areas.iter().map(radius).fold(0.0, f32::max),
+        is_flat: areas.iter().all(|area| area.normal != Vec3::ZERO),
         light: vector(|area| area.light),
     }
 }
 
-/// Cosine-weighted solid angle of an area at `offset`, seen above the horizon of `normal`. Point to point, A cos cos / d²,
-/// but for the horizon: an area that it cuts is as high as a square, of which the part above counts.
+/// Cosine-weighted solid angle of an area at `offset`, seen above the horizon of `normal`.
 #[inline(always)]
 fn solid_angle(
     (offset, normal): ([f32; 3], [f32; 3]),
@@ -104,12 +131,34 @@ fn solid_angle(
     max_squared: f32,
 ) -> f32 {
     let squared = dot(offset, offset);
-    let height = dot(normal, offset);
-    let is_flat = dot(facing, facing) > 0.0;
     let depth = -dot(facing, offset);
+    let seen = cut_by_horizon(
+        (area, depth, facing),
+        (dot(normal, offset), dot(normal, facing)),
+        squared,
+    );
+    let is_within = squared > 0.0 && squared < max_squared;
+    if is_within { seen } else { 0.0 }
+}
+
+/// A cos cos / d² of an area with a normal, all of which is above the horizon: `depth` and `height` are the cosines times
+/// the distance.
+#[inline(always)]
+fn point_to_point((area, depth): (f32, f32), height: f32, squared: f32) -> f32 {
     let depth = if depth > 0.0 { depth } else { 0.0 };
+    area * depth * height / (squared * squared)
+}
+
+/// The same of any area, part of which may be below: one that the horizon cuts is as high as a square, of which the part
+/// above counts.
+#[inline(always)]
+fn cut_by_horizon(
+    (area, depth, facing): (f32, f32, [f32; 3]),
+    (height, tilt): (f32, f32),
+    squared: f32,
+) -> f32 {
+    let is_flat = dot(facing, facing) > 0.0;
     let depth = if is_flat { depth } else { squared.sqrt() };
-    let tilt = dot(normal, facing);
     let tilt = if is_flat {
         tilt * tilt
     } else {
@@ -121,9 +170,7 @@ fn solid_angle(
     let cut = above * above / (4.0 * reach);
     let cut = if above > 0.0 { cut } else { 0.0 };
     let height = if height >= reach { height } else { cut };
-    let seen = area * depth * height / (squared * squared);
-    let is_within = squared > 0.0 && squared < max_squared;
-    if is_within { seen } else { 0.0 }
+    point_to_point((area, depth), height, squared)
 }
 
 #[inline(always)]
@@ -133,6 +180,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::windows::{Sizes, Windows};
     use super::*;
     use crate::gather::testing::receivers_at;
     use crate::math::solid_angle::disk_form_factor;
@@ -190,7 +238,12 @@ mod tests {
             .collect();
         let receivers = receivers_at(&[(Vec3::ZERO, Vec3::Y), (Vec3::X * 0.1, Vec3::Y)]);
         let tracer = Tracer::new(&crate::trace::testing::scene(Vec::new(), &[]));
-        let group = Group::new(&tracer, &receivers, &[0, 1]);
+        let sizes = Sizes {
+            max_radius: 1.0,
+            max_share: 1.0,
+        };
+        let window = Windows::new(&tracer, &receivers, sizes).window(0);
+        let group = Group::new(&tracer, &receivers, &window);
         let wide = dispatch!(Level::new(), simd => {
             let _ = simd;
             irradiance(&group, &areas, 5.0)

@@ -6,7 +6,7 @@ use crate::gather::{self, estimate::spread};
 use crate::pilot::{Candidate, Method, check};
 use crate::receivers::Receivers;
 
-/// Groups looked at, each around another one of the pilot's receivers: 3072 receivers of the run.
+/// Groups looked at, each around another one of the pilot's receivers: 6144 receivers of the run.
 const GROUPS: usize = 48;
 
 /// Whole groups of neighbors.
@@ -76,7 +76,7 @@ mod tests {
         let all = receivers_at(&places);
         let picks = spread(all.len(), 200);
         let groups = Groups::around(&all, &picks);
-        assert!(groups.places.len() == GROUPS && groups.receivers.len() > 2_000);
+        assert!(groups.places.len() == GROUPS && groups.receivers.len() > 3_000);
         for (&k, &place) in groups.few.iter().zip(&groups.places) {
             assert_eq!(groups.receivers.position[place], all.position[picks[k]]);
         }
