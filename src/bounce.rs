@@ -45,28 +45,62 @@ impl CoarseCloud<'_> {
     }
 }
 
+/// How often light is reflected.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Bounces {
+    /// So many times.
+    Count(u32),
+    /// Until what is left to come is less than this part of all reflected light, [`Bounces::MOST`] times at most.
+    Until(f64),
+}
+
+impl Bounces {
+    /// Reflections after which even a furnace whose walls reflect 0.9 has 99.9 % of its light.
+    pub const MOST: u32 = 64;
+
+    /// True if light is reflected once, or never.
+    pub fn is_at_most_once(self) -> bool {
+        matches!(self, Self::Count(0 | 1))
+    }
+
+    fn most(self) -> u32 {
+        match self {
+            Self::Count(count) => count,
+            Self::Until(_) => Self::MOST,
+        }
+    }
+}
+
 /// Let light be reflected `bounces` times in all: a cloud like `clouds.fine` whose reflected radiosity is that of
-/// light after 1…`bounces` reflections. 0 and 1 change nothing, as one reflection is what a bake delivers.
+/// light after that many reflections, and their number. 0 and 1 change nothing, as one reflection is what a bake delivers.
 ///
 /// `factory` makes the engines; they read from the cloud that is computed on (the coarse one if there is one).
-/// Cost: `bounces − 1` gathers at every surfel of that cloud.
+/// Cost: a gather at every surfel of that cloud for each reflection but the first.
 ///
 /// # Errors
 /// When cancelled.
 pub fn bounce(
     clouds: BounceClouds<'_>,
     factory: &dyn EngineFactory,
-    bounces: u32,
+    bounces: Bounces,
     diagnostics: &Diagnostics,
-) -> Result<SurfelCloud, Cancelled> {
+) -> Result<(SurfelCloud, u32), Cancelled> {
     let fine = clouds.fine;
-    let gathers = bounces.saturating_sub(1);
+    let gathers = bounces.most().saturating_sub(1);
     let cloud = clouds.coarse.map_or(fine, |coarse| &coarse.baked.cloud);
     if gathers == 0 || cloud.is_empty() {
-        return Ok(fine.clone());
+        return Ok((fine.clone(), bounces.most()));
     }
     let receivers = surfel::place(cloud);
-    let phase = diagnostics.phase("bounce", "surfels", cloud.len() as u64 * u64::from(gathers));
+    let foretold = match bounces {
+        Bounces::Count(_) => gathers,
+        Bounces::Until(_) => 0,
+    };
+    let phase = diagnostics.phase(
+        "bounce",
+        "surfels",
+        cloud.len() as u64 * u64::from(foretold),
+    );
     let step = Step {
         factory,
         diagnostics,
@@ -74,20 +108,74 @@ pub fn bounce(
     };
     // All but the last gather update the cloud itself, the last one gives the light that the fine cloud takes.
     let mut lit = cloud.clone();
-    for _ in 1..gathers {
-        let irradiance = step.gather(&lit, &receivers)?;
-        lit = reflect(cloud, &irradiance);
+    let mut irradiance = step.gather(&lit, &receivers)?;
+    let mut count = 2;
+    let mut growth = Growth::new(cloud, &lit);
+    loop {
+        let more = reflect(cloud, &irradiance);
+        let is_done = match bounces {
+            Bounces::Count(asked) => count >= asked,
+            Bounces::Until(part) => growth.rest(&more) <= part || count >= Bounces::MOST,
+        };
+        if is_done {
+            break;
+        }
+        lit = more;
+        irradiance = step.gather(&lit, &receivers)?;
+        count += 1;
     }
-    let irradiance = step.gather(&lit, &receivers)?;
     let Some(coarse) = clouds.coarse else {
-        return Ok(reflect(fine, &irradiance));
+        return Ok((reflect(fine, &irradiance), count));
     };
     let cells: Vec<_> = (0..fine.len())
         .into_par_iter()
         .map(|i| coarse.cell_of(fine, i))
         .collect();
     let irradiance = step.transfer(fine, &cells, &irradiance, &lit)?;
-    Ok(reflect(fine, &irradiance))
+    Ok((reflect(fine, &irradiance), count))
+}
+
+/// How light grows from one reflection to the next: a geometric series before long.
+struct Growth<'a> {
+    /// For areas.
+    cloud: &'a SurfelCloud,
+    power: f64,
+    /// What the reflection before added.
+    added: f64,
+}
+
+impl<'a> Growth<'a> {
+    /// `lit`: after one reflection.
+    fn new(cloud: &'a SurfelCloud, lit: &SurfelCloud) -> Self {
+        let power = reflected_power(cloud, lit);
+        Self {
+            cloud,
+            power,
+            added: power,
+        }
+    }
+
+    /// What later reflections will add to `lit`, one reflection more than before, over all that is reflected in the end.
+    fn rest(&mut self, lit: &SurfelCloud) -> f64 {
+        let power = reflected_power(self.cloud, lit);
+        let added = (power - self.power).max(0.0);
+        if added <= 0.0 || self.added <= 0.0 {
+            return 0.0;
+        }
+        let ratio = (added / self.added).min(MOST_GROWTH);
+        (self.power, self.added) = (power, added);
+        let rest = added * ratio / (1.0 - ratio);
+        rest / (power + rest)
+    }
+}
+
+/// No more than this part of light is left by a reflection, or nothing could be said of its rest.
+const MOST_GROWTH: f64 = 0.99;
+
+/// Power that `lit`, which has the surfels of `cloud`, reflects: all channels together.
+fn reflected_power(cloud: &SurfelCloud, lit: &SurfelCloud) -> f64 {
+    let of = |i| f64::from(cloud.area[i]) * f64::from(lit.reflected(i).element_sum());
+    (0..lit.len()).map(of).sum()
 }
 
 /// What one gather over surfels needs besides the cloud.
@@ -250,13 +338,14 @@ mod tests {
         let albedo = Vec3::new(0.6, 0.3, 0.0);
         let cloud = furnace(albedo);
         for bounces in [0, 1, 2, 3, 12] {
-            let lit = bounce(
+            let (lit, count) = bounce(
                 on_itself(&cloud),
                 &CubeFactory,
-                bounces,
+                Bounces::Count(bounces),
                 &Diagnostics::default(),
             )
             .unwrap();
+            assert_eq!(count, bounces);
             let exact = (1..=bounces.max(1).cast_signed())
                 .fold(Vec3::ZERO, |sum, k| sum + PI * albedo.map(|x| x.powi(k)));
             for i in 0..6 {
@@ -265,6 +354,27 @@ mod tests {
             }
             assert_eq!(lit.emission, cloud.emission);
             assert_eq!(lit.position, cloud.position);
+        }
+    }
+
+    #[test]
+    fn reflections_go_on_until_little_of_the_series_is_left() {
+        let albedo = 0.5_f32;
+        let cloud = furnace(Vec3::splat(albedo));
+        for part in [0.1, 0.01] {
+            let until = Bounces::Until(part);
+            let (lit, count) = bounce(
+                on_itself(&cloud),
+                &CubeFactory,
+                until,
+                &Diagnostics::default(),
+            )
+            .unwrap();
+            // After k reflections ½ᵏ of the light is to come.
+            assert_eq!(f64::from(count), (1.0 / part).log2().ceil(), "{part}");
+            let whole = PI * albedo / (1.0 - albedo);
+            let rest = f64::from(1.0 - lit.reflected(0).x / whole);
+            assert!(rest <= part && rest > 0.25 * part, "{rest}");
         }
     }
 
@@ -293,12 +403,18 @@ mod tests {
     fn an_empty_cloud_stays_empty_and_a_cancelled_run_ends() {
         let diagnostics = Diagnostics::default();
         let empty = SurfelCloud::default();
-        let lit = bounce(on_itself(&empty), &CubeFactory, 5, &diagnostics).unwrap();
+        let five = Bounces::Count(5);
+        let (lit, _) = bounce(on_itself(&empty), &CubeFactory, five, &diagnostics).unwrap();
         assert!(lit.is_empty());
         diagnostics.cancel_token().cancel();
         let cloud = furnace(Vec3::ONE);
         assert_eq!(
-            bounce(on_itself(&cloud), &CubeFactory, 2, &diagnostics),
+            bounce(
+                on_itself(&cloud),
+                &CubeFactory,
+                Bounces::Count(2),
+                &diagnostics
+            ),
             Err(Cancelled)
         );
     }

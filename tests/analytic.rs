@@ -10,7 +10,7 @@ use scenes::{
 };
 use std::f32::consts::{FRAC_PI_2, PI};
 use surflux::bake::{BakeSettings, Baked, bake};
-use surflux::bounce::{BounceClouds, CoarseCloud, bounce};
+use surflux::bounce::{BounceClouds, Bounces, CoarseCloud, bounce};
 use surflux::diagnostics::{Cancelled, Diagnostics};
 
 use surflux::gather::{
@@ -149,7 +149,13 @@ fn white_furnace_gives_the_geometric_series() {
             fine: &baked.cloud,
             coarse: None,
         };
-        let cloud = bounce(clouds, &factory, bounces, &setup.diagnostics).expect("runs");
+        let (cloud, _) = bounce(
+            clouds,
+            &factory,
+            Bounces::Count(bounces),
+            &setup.diagnostics,
+        )
+        .expect("runs");
         let results = setup.lit((&baked, &cloud), &receivers, &[Aov::Irradiance]);
         let exact = PI
             * (0..=bounces.cast_signed())
@@ -179,7 +185,7 @@ fn a_coarser_cloud_bounces_the_same_light() {
             tracer: &setup.tracer,
         }),
     };
-    let cloud = bounce(clouds, &factory, 3, &setup.diagnostics).expect("runs");
+    let (cloud, _) = bounce(clouds, &factory, Bounces::Count(3), &setup.diagnostics).expect("runs");
     let receivers = receivers_in(&scene, prim, 29);
     let results = setup.lit((&fine, &cloud), &receivers, &[Aov::IrradianceIndirect]);
     let exact = PI * (0.6 + 0.36 + 0.216);
@@ -507,7 +513,8 @@ fn results_are_the_same_bits_for_any_number_of_threads() {
                 fine: &baked.cloud,
                 coarse: None,
             };
-            let cloud = bounce(clouds, &factory, 2, &setup.diagnostics).expect("runs");
+            let (cloud, _) =
+                bounce(clouds, &factory, Bounces::Count(2), &setup.diagnostics).expect("runs");
             let aovs = [Aov::Irradiance, Aov::Occlusion, Aov::BentNormal, Aov::Color];
             setup.lit((&baked, &cloud), &receivers, &aovs)
         })

@@ -143,8 +143,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("ctrlc", &["cli"]),
     ("anyhow", &["cli", "writers"]),
     ("maud", &["verify"]),
-    ("rustix", &["pilot"]),
-    ("memmap2", &["stage"]),
+    ("rustix", &["pilot", "stage"]),
 ];
 
 fn sources() -> Vec<(String, PathBuf, String)> {

@@ -72,6 +72,7 @@ fn both(
                 rays,
                 max_distance: settings.max_distance,
                 turn: 0.3,
+                cone: None,
             },
         )
     };

@@ -188,6 +188,7 @@ fn receivers(places: &[Place]) -> Receivers {
         prim: vec![0; places.len()],
         surface: vec![surface; places.len()],
         depth: Vec::new(),
+        toward_eye: Vec::new(),
         target: Target::Surfels,
     }
 }

@@ -92,6 +92,7 @@ impl<'a> Fixture<'a> {
             rays,
             turn: 0.3,
             max_distance: None,
+            cone: None,
         };
         self.gather(
             &RaysEngine::new(&self.tracer, Some(source), settings),
@@ -370,6 +371,7 @@ fn dark_surfels_that_receivers_touch_are_lit_anew() {
         rays: 4096,
         turn: 0.3,
         max_distance: None,
+        cone: None,
     };
     let receivers = receivers_in(&scene, floor, 1);
     let truth = fixture.gather(&RaysEngine::new(tracer, Some(source), settings), &receivers);

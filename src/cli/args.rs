@@ -2,6 +2,7 @@
 
 use super::frames::Frames;
 use super::progress::ProgressMode;
+use crate::pipeline::Falloff;
 use crate::stage::VariantChoice;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -15,7 +16,29 @@ pub(super) struct Cli {
 }
 
 #[derive(Debug, Subcommand)]
+#[expect(clippy::large_enum_variant, reason = "there is one, for the whole run")]
 pub(super) enum Command {
+    #[command(flatten)]
+    Job(JobCommand),
+    /// Write the completions of a shell to stdout.
+    #[command(
+        after_help = "Example:\n  surflux completions bash > ~/.local/share/bash-completion/completions/surflux"
+    )]
+    Completions {
+        /// Whose.
+        shell: clap_complete::Shell,
+    },
+    /// Write the manual pages, one a command.
+    #[command(after_help = "Example:\n  surflux man ~/.local/share/man/man1")]
+    Man {
+        /// A folder that exists.
+        folder: PathBuf,
+    },
+}
+
+/// What is done with a stage.
+#[derive(Debug, Subcommand)]
+pub(super) enum JobCommand {
     /// Bake direct light into a surfel cloud (UsdGeomPoints).
     #[command(after_help = "Example:\n  surflux points shot.usda -o cloud.usdc --surfels 500000")]
     Points(PointsArgs),
@@ -139,9 +162,10 @@ pub(super) struct GatherArgs {
     /// Results, comma separated.
     #[arg(long, value_name = "NAME", value_delimiter = ',')]
     pub(super) aov: Vec<String>,
-    /// Diffuse reflections that `irradiance_indirect` holds.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(super) bounces: u32,
+    /// Diffuse reflections that `irradiance_indirect` holds; `auto`: until what is left to come is a quarter of --tolerance
+    /// (0.02 without one).
+    #[arg(long, value_name = "N|auto", default_value = "1", value_parser = bounces)]
+    pub(super) bounces: BouncesArg,
     /// Gather engine.
     #[arg(long, value_enum, default_value_t = EngineName::Auto)]
     pub(super) gather: EngineName,
@@ -172,6 +196,13 @@ pub(super) struct GatherArgs {
     /// Nothing farther than this covers or shines, stage units.
     #[arg(long, alias = "maxdist", value_name = "LENGTH", value_parser = positive)]
     pub(super) max_distance: Option<f32>,
+    /// How what covers `occlusion`, `visibility` and `reflection_occlusion` fades up to --max-distance: all of it, 1 − x,
+    /// smoothly, or (1 − x) to a power (2). By rays.
+    #[arg(long, value_name = "none|linear|smooth|exponent[:P]", default_value = "none", value_parser = falloff)]
+    pub(super) falloff: Falloff,
+    /// Half-angle of the cone that these ask about, degrees. Default: 90, and 20 for reflections. By rays.
+    #[arg(long, alias = "coneangle", value_name = "DEGREES", value_parser = cone_angle)]
+    pub(super) cone_angle: Option<f32>,
     /// Surfel clouds (UsdGeomPoints) that shine instead of the stage's own surfels; many times.
     #[arg(long, value_name = "CLOUD")]
     pub(super) cloud: Vec<PathBuf>,
@@ -343,6 +374,39 @@ pub(super) enum InstancesName {
 pub(super) enum ExrLayout {
     Single,
     Multipart,
+}
+
+/// `--bounces`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum BouncesArg {
+    Count(u32),
+    Auto,
+}
+
+fn bounces(text: &str) -> Result<BouncesArg, String> {
+    if text == "auto" {
+        return Ok(BouncesArg::Auto);
+    }
+    (text.parse().map(BouncesArg::Count)).map_err(|_| "a number, or auto, is needed".to_owned())
+}
+
+fn falloff(text: &str) -> Result<Falloff, String> {
+    let (name, power) = text.split_once(':').unwrap_or((text, "2"));
+    match (name, positive(power)) {
+        ("none", _) if name == text => Ok(Falloff::None),
+        ("linear", _) if name == text => Ok(Falloff::Linear),
+        ("smooth", _) if name == text => Ok(Falloff::Smooth),
+        ("exponent", Ok(power)) => Ok(Falloff::Exponent(power)),
+        ("exponent", Err(wrong)) => Err(wrong),
+        _ => Err("none, linear, smooth, exponent or exponent:P is needed".to_owned()),
+    }
+}
+
+fn cone_angle(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(degrees) if degrees > 0.0 && degrees <= 90.0 => Ok(degrees),
+        _ => Err("degrees greater than 0, at most 90, are needed".to_owned()),
+    }
 }
 
 fn positive(text: &str) -> Result<f32, String> {

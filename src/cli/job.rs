@@ -1,14 +1,14 @@
 //! Arguments as typed → a [`Job`] as meant.
 
 use super::args::{
-    BakeArgs, Cli, Command, EngineName, ExrLayout, GatherArgs, InfoArgs, InstancesName,
-    InterpolationName, JobName, LoadName, OutputArgs, PointsArgs, PurposeName, RenderArgs,
-    StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
+    BakeArgs, BouncesArg, EngineName, ExrLayout, GatherArgs, InfoArgs, InstancesName,
+    InterpolationName, JobCommand, JobName, LoadName, OutputArgs, PointsArgs, PurposeName,
+    RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
-    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, MapsSettings, OutputJob, PointsJob,
-    Purposed, RenderJob, StageJob, VerifyJob,
+    BakeJob, Bounces, Dome, EngineChoice, Falloff, GatherJob, InfoJob, Job, MapsSettings,
+    OcclusionKind, OutputJob, PointsJob, Purposed, RenderJob, StageJob, VerifyJob,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
@@ -17,7 +17,7 @@ use crate::writers::usd::layer::InstancePolicy;
 use anyhow::{Context, bail};
 use std::path::Path;
 
-impl Command {
+impl JobCommand {
     /// The flags that every command has.
     pub(super) fn stage(&self) -> &StageArgs {
         match self {
@@ -31,18 +31,18 @@ impl Command {
     }
 }
 
-/// The job that `cli` means.
+/// The job that `command` means.
 ///
 /// # Errors
 /// What a person typed wrong: unknown AOVs, missing outputs, wrong extensions.
-pub(super) fn from_args(cli: Cli, command_line: &[String]) -> anyhow::Result<Job> {
-    Ok(match cli.command {
-        Command::Points(args) => Job::Points(points(args, command_line)?),
-        Command::Bake(args) => Job::Bake(bake(args, command_line)?),
-        Command::Render(args) => Job::Render(render(args, command_line)?),
-        Command::Info(args) => Job::Info(info(args, command_line)?),
-        Command::Validate(args) => Job::Validate(stage(args.stage, command_line)?),
-        Command::Verify(args) => Job::Verify(verify(args, command_line)?),
+pub(super) fn from_args(command: JobCommand, command_line: &[String]) -> anyhow::Result<Job> {
+    Ok(match command {
+        JobCommand::Points(args) => Job::Points(points(args, command_line)?),
+        JobCommand::Bake(args) => Job::Bake(bake(args, command_line)?),
+        JobCommand::Render(args) => Job::Render(render(args, command_line)?),
+        JobCommand::Info(args) => Job::Info(info(args, command_line)?),
+        JobCommand::Validate(args) => Job::Validate(stage(args.stage, command_line)?),
+        JobCommand::Verify(args) => Job::Verify(verify(args, command_line)?),
     })
 }
 
@@ -168,6 +168,10 @@ fn info(args: InfoArgs, command_line: &[String]) -> anyhow::Result<InfoJob> {
 /// What a bake computes where nothing is asked.
 const BAKED: [Aov; 2] = [Aov::Occlusion, Aov::Irradiance];
 
+/// Tolerance of `--bounces auto` without one, and the part of a tolerance that reflections to come may take.
+const USUAL_TOLERANCE: f64 = 0.02;
+const LEFT_TO_COME: f64 = 0.25;
+
 fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
     let aovs = aovs(&args.aov)?;
     let has_error = aovs.iter().find(|aov| aov.error_of().is_some());
@@ -186,12 +190,21 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
             "--gather raster: it gathers from the stage's own surfels, which --cloud replaces (use rays or paper)"
         );
     }
-    if args.bounces == 0 && aovs.contains(&Aov::IrradianceIndirect) {
+    if args.falloff != Falloff::None && args.max_distance.is_none() {
+        bail!("--falloff needs --max-distance: where what covers has faded to nothing");
+    }
+    if args.bounces == BouncesArg::Count(0) && aovs.contains(&Aov::IrradianceIndirect) {
         bail!("--bounces 0 leaves nothing for irradiance_indirect (right: 1 or more)");
     }
     Ok(GatherJob {
         aovs,
-        bounces: args.bounces,
+        bounces: match args.bounces {
+            BouncesArg::Count(count) => Bounces::Count(count),
+            BouncesArg::Auto => {
+                let tolerance = args.tolerance.unwrap_or(USUAL_TOLERANCE);
+                Bounces::Until(LEFT_TO_COME * tolerance)
+            }
+        },
         engine: match args.gather {
             EngineName::Auto => EngineChoice::Auto,
             EngineName::Rays => EngineChoice::Rays,
@@ -210,6 +223,10 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
         max_solid_angle: args.max_solid_angle,
         raster_resolution: args.raster_resolution,
         max_distance: args.max_distance,
+        occlusion: OcclusionKind {
+            half_angle: args.cone_angle.map(f32::to_radians),
+            falloff: args.falloff,
+        },
         clouds: args.cloud,
         spacing: surfels.spacing,
         surfels: surfels.surfels,
@@ -284,7 +301,7 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
         output: output(args.output, &["html"])?,
         gather: GatherJob {
             aovs: Vec::new(),
-            bounces: args.bounces,
+            bounces: Bounces::Count(args.bounces),
             engine: EngineChoice::Auto,
             tolerance: None,
             rays: args.truth_rays,
@@ -292,6 +309,7 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
             max_solid_angle: PAPER.0,
             raster_resolution: PAPER.1,
             max_distance: args.max_distance,
+            occlusion: OcclusionKind::default(),
             clouds: Vec::new(),
             spacing: args.surfels.spacing,
             surfels: args.surfels.surfels,

@@ -5,6 +5,7 @@
     reason = "this module is what talks to the terminal"
 )]
 
+mod about;
 mod args;
 pub mod frames;
 mod info;
@@ -17,7 +18,7 @@ mod verify;
 
 use crate::diagnostics::{CancelToken, Diagnostics};
 use crate::pipeline;
-use args::{Cli, StageArgs};
+use args::{Cli, Command, StageArgs};
 use clap::Parser;
 use std::process::ExitCode;
 
@@ -30,20 +31,28 @@ const USAGE: u8 = 2;
 pub fn main() -> ExitCode {
     quiet_reader();
     let command_line: Vec<String> = std::env::args().collect();
-    let cli = Cli::parse();
-    let stage = cli.command.stage().clone_settings();
+    let command = match Cli::parse().command {
+        Command::Job(command) => command,
+        Command::Completions { shell } => return exit_code(about::completions(shell)),
+        Command::Man { folder } => return exit_code(about::manual(&folder)),
+    };
+    let stage = command.stage().clone_settings();
     if let Err(error) = log_sink::install(stage.verbose, stage.quiet, stage.log_file.as_deref()) {
         eprintln!("surflux: {error:#}");
         return ExitCode::from(FAILED);
     }
-    let job = match job::from_args(cli, &command_line) {
+    let job = match job::from_args(command, &command_line) {
         Ok(job) => job,
         Err(usage) => {
             eprintln!("surflux: {usage:#}\n\nFor more information, try '--help'.");
             return ExitCode::from(USAGE);
         }
     };
-    match run(&job, &stage) {
+    exit_code(run(&job, &stage))
+}
+
+fn exit_code(result: anyhow::Result<()>) -> ExitCode {
+    match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("surflux: {error:#}");

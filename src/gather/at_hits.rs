@@ -64,10 +64,15 @@ impl<'a> HitLight<'a> {
         hit.distance < self.near_radii * radius
     }
 
+    /// True if the side that `hit` met has surfels.
+    pub(super) fn reflects(&self, hit: &Hit) -> bool {
+        let surfel = (self.dice).surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+        surfel.is_some()
+    }
+
     /// Radiance from `hit`; black on a side without surfels.
     pub(super) fn radiance(&self, hit: &Hit) -> Outgoing {
-        let side = (self.dice).surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
-        if side.is_none() {
+        if !self.reflects(hit) {
             return Outgoing::BLACK;
         }
         let surface = self.surface(hit);

@@ -78,7 +78,8 @@ fn measured(results: &Results, uniform: bool) -> Vec<Aov> {
         if aov.error_of().is_some() {
             return false;
         }
-        matches!(aov, Aov::Occlusion | Aov::Visibility)
+        let open = [Aov::Occlusion, Aov::Visibility, Aov::ReflectionOcclusion];
+        open.contains(&aov)
             || aov.needs_indirect()
             || (uniform && aov.needs_environment() && aov != Aov::IlluminationDirection)
     };
@@ -143,6 +144,7 @@ fn compare(
             });
             let (aov, flip) = match buffer.aov {
                 Aov::Occlusion => (Aov::Visibility, true),
+                Aov::ReflectionOcclusion => (buffer.aov, true),
                 other => (other, false),
             };
             let as_measured = |x: f32| f64::from(if flip { 1.0 - x } else { x });

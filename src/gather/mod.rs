@@ -186,6 +186,27 @@ pub fn neighbors(receivers: &Receivers) -> Vec<usize> {
     neighbors::order(&receivers.position, &receivers.normal)
 }
 
+/// Receivers that tell what some of them see where neighbors share work: as many as share it, and as many again around.
+pub(crate) const GROUP: usize = 2 * BLOCK;
+
+/// The groups of 128 neighbors, cut from [`neighbors`], that have any of `picks` in them: indices of all their members
+/// among `receivers`, whole groups in order, and where among these each of `picks` is.
+pub fn groups(receivers: &Receivers, picks: &[usize]) -> (Vec<usize>, Vec<usize>) {
+    let order = neighbors(receivers);
+    let mut place_of = vec![0; order.len()];
+    for (place, &i) in order.iter().enumerate() {
+        place_of[i] = place;
+    }
+    let mut groups: Vec<usize> = picks.iter().map(|&i| place_of[i] / GROUP).collect();
+    groups.sort_unstable();
+    groups.dedup();
+    let members = |group: &usize| group * GROUP..((group + 1) * GROUP).min(order.len());
+    let all: Vec<usize> = groups.iter().flat_map(members).collect();
+    let place = |&i: &usize| all.partition_point(|&place| place < place_of[i]);
+    let places = picks.iter().map(place).collect();
+    (all.iter().map(|&place| order[place]).collect(), places)
+}
+
 /// Zeros for `count` receivers.
 fn empty_results(aovs: &[Aov], count: usize) -> Results {
     let buffer = |&aov: &Aov| AovBuffer {
@@ -239,7 +260,9 @@ impl<'a> Work<'a> {
         let asked = any(Aov::needs_environment);
         let environment = Environment::plan(scene.lighting.filter(|_| asked), aovs);
         let indirect = any(Aov::needs_indirect);
-        let openness = any(|aov| aov.is_openness() || aov.error_of().is_some());
+        let openness = any(|aov| {
+            aov.is_openness() || aov == Aov::ReflectionOcclusion || aov.error_of().is_some()
+        });
         Self {
             scene,
             material: any(Aov::needs_material),

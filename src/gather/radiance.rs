@@ -1,8 +1,10 @@
 //! Where rays read the radiance of what they hit: the surfels, or the light found anew at hits too near for these.
 
 use super::at_hits::HitLight;
+use crate::math::sequence;
+use crate::receivers::Receivers;
 use crate::surfels::{DiceMap, NearestMap, SurfelCloud};
-use crate::trace::Hit;
+use crate::trace::{Hit, Tracer};
 use glam::{DVec3, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
@@ -23,6 +25,13 @@ impl Outgoing {
     };
 
     /// Of surfel `i`, a diffuse one: radiosity / π, the same in all directions.
+    fn less(self, other: Self) -> Self {
+        Self {
+            reflected: self.reflected - other.reflected,
+            emitted: self.emitted - other.emitted,
+        }
+    }
+
     fn of_surfel(cloud: &SurfelCloud, i: u32) -> Self {
         let i = i as usize;
         Self {
@@ -66,11 +75,55 @@ pub enum RadianceSource<'a> {
     },
     /// No surfels: every hit is lit anew.
     AtHits(HitLight<'a>),
+    /// What [`Self::Baked`] errs by: radiance of surfels less that found anew, where they are read.
+    ErrorOf {
+        /// The surfels.
+        cloud: &'a SurfelCloud,
+        /// Which of them covers which part of a triangle.
+        dice: &'a DiceMap,
+        /// Tells which hits are too near to read surfels, and the light at the others.
+        anew: HitLight<'a>,
+    },
     /// Clouds from elsewhere, found by place; their light adds up (light groups).
     Loaded(Vec<LoadedCloud<'a>>),
 }
 
+/// Rays a receiver that [`RadianceSource::relit_share`] looks along.
+const SHARE_RAYS: u32 = 32;
+
 impl RadianceSource<'_> {
+    /// Share of the rays from `receivers` that meet something to be lit anew, 0…1: what sets their cost apart.
+    pub fn relit_share(&self, tracer: &Tracer, receivers: &Receivers) -> f64 {
+        let is_relit = |(origin, direction)| {
+            let hit = tracer.closest(origin, direction, f32::INFINITY);
+            hit.is_some_and(|hit| self.is_relit(&hit))
+        };
+        let rays = (0..receivers.len()).flat_map(|i| {
+            let origin = tracer.lift(receivers.position[i], receivers.geometric_normal[i]);
+            let frame = sequence::transported_frame(receivers.normal[i]);
+            (0..SHARE_RAYS).map(move |ray| {
+                let place = sequence::fibonacci(ray, SHARE_RAYS);
+                (origin, frame.to_world(sequence::cosine_hemisphere(place)))
+            })
+        });
+        let count = receivers.len().max(1) as f64 * f64::from(SHARE_RAYS);
+        rays.filter(|&ray| is_relit(ray)).count() as f64 / count
+    }
+
+    /// True if `hit` has light found anew, not read.
+    fn is_relit(&self, hit: &Hit) -> bool {
+        match self {
+            Self::Baked { cloud, dice, near } => {
+                let found = dice.surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+                found
+                    .zip(*near)
+                    .is_some_and(|(i, hits)| hits.is_near(hit, cloud.radius[i as usize]))
+            }
+            Self::AtHits(light) => light.reflects(hit),
+            Self::ErrorOf { .. } | Self::Loaded(_) => false,
+        }
+    }
+
     /// Radiance from `hit` back to `origin`, from which the unit `direction` met it; black on a side without surfels.
     pub fn radiance(&self, hit: &Hit, origin: Vec3, direction: Vec3) -> Outgoing {
         match self {
@@ -88,6 +141,13 @@ impl RadianceSource<'_> {
                 }
             }
             Self::AtHits(light) => light.radiance(hit),
+            Self::ErrorOf { cloud, dice, anew } => {
+                let found = dice.surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+                match found.filter(|&i| !anew.is_near(hit, cloud.radius[i as usize])) {
+                    Some(i) => Outgoing::of_surfel(cloud, i).less(anew.radiance(hit)),
+                    None => Outgoing::BLACK,
+                }
+            }
             Self::Loaded(clouds) => {
                 let position = origin + direction * hit.distance;
                 clouds.iter().fold(Outgoing::BLACK, |sum, loaded| {

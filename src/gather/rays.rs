@@ -4,6 +4,7 @@
 //! Two patterns: directions that all receivers share (`shared`), and for few rays a cosine-distributed set about each
 //! receiver's own normal. Both are the same everywhere, so there is error but no noise, and no seams.
 
+pub mod cone;
 mod shared;
 mod stand;
 
@@ -14,6 +15,7 @@ use crate::math::sequence;
 use crate::receivers::Receivers;
 use crate::surfels::{DiceMap, SurfelCloud};
 use crate::trace::Tracer;
+use cone::Cone;
 use glam::{Vec2, Vec3};
 use shared::Looks;
 use stand::Stand;
@@ -29,6 +31,8 @@ pub struct RaysSettings {
     pub max_distance: Option<f32>,
     /// Turn of the pattern about the normal, in turns. Another turn gives another error of the same size.
     pub turn: f32,
+    /// Part of the hemisphere, for kinds of occlusion; `None` = all of it, and light.
+    pub cone: Option<Cone>,
 }
 
 impl Default for RaysSettings {
@@ -37,6 +41,7 @@ impl Default for RaysSettings {
             rays: 1024,
             max_distance: None,
             turn: 0.0,
+            cone: None,
         }
     }
 }
@@ -48,6 +53,7 @@ impl RaysSettings {
         rays: 128,
         max_distance: None,
         turn: 0.0,
+        cone: None,
     };
 
     /// Rays of a reference over those of the run it judges.
@@ -88,11 +94,16 @@ enum Pattern {
     Local(Vec<Vec3>),
     /// Directions over the whole sphere, twice as many.
     Shared(Vec<Vec3>),
+    /// Directions of a cone about +Z, put about each receiver's axis.
+    Cone(Cone, Vec<Vec3>),
 }
 
 impl Pattern {
     fn of(settings: RaysSettings) -> Self {
         let count = settings.rays.max(1);
+        if let Some(cone) = settings.cone {
+            return Self::Cone(cone, cone.pattern(count, settings.turn));
+        }
         if count >= LEAST_SHARED {
             return Self::Shared(shared::directions(count.saturating_mul(2), settings.turn));
         }
@@ -107,7 +118,7 @@ impl Pattern {
     /// Rays a receiver, about.
     fn rays(&self) -> usize {
         match self {
-            Self::Local(pattern) => pattern.len(),
+            Self::Local(pattern) | Self::Cone(_, pattern) => pattern.len(),
             Self::Shared(directions) => directions.len() / 2,
         }
     }
@@ -199,6 +210,12 @@ impl Engine for RaysEngine<'_> {
             Pattern::Local(pattern) => {
                 for i in block {
                     self.fill_local(pattern, (receivers, i), scratch);
+                    visit(i, scratch);
+                }
+            }
+            Pattern::Cone(cone, pattern) => {
+                for i in block {
+                    self.fill_cone((cone, pattern), (receivers, i), scratch);
                     visit(i, scratch);
                 }
             }

@@ -25,6 +25,7 @@ pub(crate) fn receivers_at(points: &[(Vec3, Vec3)]) -> Receivers {
         prim: vec![0; points.len()],
         surface: vec![surface; points.len()],
         depth: Vec::new(),
+        toward_eye: Vec::new(),
         target: Target::Surfels,
     }
 }

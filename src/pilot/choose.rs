@@ -229,9 +229,13 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         }
         let mut ladder = self.climb()?;
         let judge = self.judge(ladder.most(), ladder.law)?;
-        // What the check of the whole asks for, its hungriest AOV needs.
+        // What the check of the whole asks for, its hungriest AOV needs; the others what they were seen to need there.
         let grown = judge.rays / ladder.most();
-        ladder.needed.iter_mut().for_each(|rays| *rays *= grown);
+        let ratios = self.ratios(&judge.errors);
+        for (rays, ratio) in ladder.needed.iter_mut().zip(ratios) {
+            let seen = judge.rays * (ratio / AIM).powf(1.0 / LAW);
+            *rays = (*rays * grown).max(seen).min(judge.rays);
+        }
         let mut best = Best {
             pick: Pick::Rays,
             seconds: self.run_seconds(judge.seconds_per_receiver),
@@ -466,6 +470,11 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         }
     }
 
+    /// True if the reference, which may have been seen without lights, tells all of `aov`.
+    fn holds_all_light(&self, aov: Aov) -> bool {
+        self.scene.lighting.is_some() || !(aov.needs_direct() || aov.needs_environment())
+    }
+
     fn check(&self, judge: Option<Judge>) -> Option<Check> {
         let of = |(one, error): (&Measured, &f64), share: f64| super::check::Known {
             aov: one.aov,
@@ -480,6 +489,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         let (mut aovs, mut truth) = (Vec::new(), Results::default());
         if let Some(judge) = judge {
             let known = self.aovs.iter().zip(&judge.errors);
+            let known = known.filter(|(one, _)| self.holds_all_light(one.aov));
             aovs.extend(known.map(|one| of(one, judge.share)));
             truth = judge.reference;
         }

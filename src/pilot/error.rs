@@ -13,8 +13,11 @@ pub fn measured_as(aov: Aov) -> Aov {
 }
 
 /// Values of `aov`, all components (alpha left out) of one receiver after the other; `None` if it was not computed.
-/// Visibility is read off occlusion where only that was computed.
+/// Visibility is read off occlusion where only that was computed; of occlusion of reflections it is what is open.
 pub fn values(results: &Results, aov: Aov) -> Option<Vec<f64>> {
+    if let Some(buffer) = results.get(aov).filter(|_| aov == Aov::ReflectionOcclusion) {
+        return Some(buffer.data.iter().map(|&x| 1.0 - f64::from(x)).collect());
+    }
     if let Some(buffer) = results.get(aov) {
         let colors = buffer.aov.components().min(3);
         return Some(

@@ -51,6 +51,7 @@ impl<'a> LightScenes<'a> {
     /// True if a better look at the hemisphere can change `aov`.
     pub(super) fn depends_on_engine(&self, aov: Aov) -> bool {
         aov.is_openness()
+            || aov == Aov::ReflectionOcclusion
             || aov.needs_indirect()
             || (aov.needs_environment() && self.engine().lighting.is_some())
     }

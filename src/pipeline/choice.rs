@@ -36,9 +36,11 @@ pub(super) enum Chosen {
 }
 
 impl Choice {
-    fn as_asked(job: &GatherJob) -> Self {
+    fn as_asked(stand: &Stand<'_>) -> Self {
+        let job = stand.job;
         Self {
             engine: match job.engine {
+                _ if stand.cone.is_some() => Chosen::Rays(job.rays),
                 EngineChoice::Auto | EngineChoice::Rays => Chosen::Rays(job.rays),
                 EngineChoice::Raster => {
                     Chosen::Raster((job.max_solid_angle, job.raster_resolution))
@@ -177,9 +179,10 @@ pub(super) fn choose(
         choice,
         outcome: None,
     };
-    let by_name = matches!(job.engine, EngineChoice::Raster | EngineChoice::Paper);
+    let by_name =
+        stand.cone.is_none() && matches!(job.engine, EngineChoice::Raster | EngineChoice::Paper);
     let Some(tolerance) = job.tolerance.filter(|_| !by_name) else {
-        return Ok(known(Choice::as_asked(job)));
+        return Ok(known(Choice::as_asked(stand)));
     };
     if let Some(choice) = report.choices.get(stand.aovs) {
         return Ok(known(*choice));
@@ -293,7 +296,7 @@ pub(super) fn look(
         };
         Box::new(stand.rays_with(settings)) as Box<dyn Method>
     };
-    let is_sky = stand.aovs.iter().any(|&aov| maps::supports(aov));
+    let is_sky = stand.cone.is_none() && stand.aovs.iter().any(|&aov| maps::supports(aov));
     let pilot = Pilot {
         scenes: LightScenes {
             run: stand.scene(),

@@ -9,10 +9,11 @@ use super::report::{Report, timed};
 use super::spacing::{self, Lit, Relit};
 use super::world::World;
 use crate::bake::{self, BakeSettings, Baked};
-use crate::bounce::{BounceClouds, CoarseCloud};
+use crate::bounce::{BounceClouds, Bounces, CoarseCloud};
 use crate::diagnostics::Diagnostics;
 use crate::gather::maps::MapsPlan;
 use crate::gather::paper::{PaperEngine, PaperSettings};
+use crate::gather::rays::cone::Cone;
 use crate::gather::{
     self, GatherScene, HitLight, LoadedCloud, RadianceSource, RaysEngine, RaysFactory,
     RaysSettings, Reference,
@@ -21,7 +22,7 @@ use crate::lighting::{LightSamples, Lighting};
 use crate::octree::Octree;
 use crate::pilot::Method;
 use crate::receivers::Receivers;
-use crate::results::{Aov, Results};
+use crate::results::{Aov, AovBuffer, Results};
 use crate::stage::cloud;
 use crate::surfels::SurfelCloud;
 use std::cell::OnceCell;
@@ -50,7 +51,7 @@ impl Light {
     pub(super) fn source<'a>(
         &'a self,
         world: &'a World<'_>,
-        (bounces, near_radii): (u32, f32),
+        (bounces, near_radii): (Bounces, f32),
     ) -> Option<RadianceSource<'a>> {
         match self {
             Self::None => None,
@@ -81,9 +82,9 @@ impl Light {
 pub(super) fn read_surfels<'a>(
     baked: &'a Baked,
     world: &'a World<'_>,
-    (bounces, near_radii): (u32, f32),
+    (bounces, near_radii): (Bounces, f32),
 ) -> RadianceSource<'a> {
-    let near = (bounces <= 1)
+    let near = (bounces.is_at_most_once())
         .then(|| relight(baked, world, &world.lighting))
         .flatten();
     RadianceSource::Baked {
@@ -91,6 +92,20 @@ pub(super) fn read_surfels<'a>(
         dice: &baked.dice,
         near: near.map(|hits| hits.within(near_radii)),
     }
+}
+
+/// What [`read_surfels`] errs by after one reflection; `None` as [`relight`].
+pub(super) fn errors_of_surfels<'a>(
+    baked: &'a Baked,
+    world: &'a World<'_>,
+    near_radii: f32,
+) -> Option<RadianceSource<'a>> {
+    let anew = relight(baked, world, &world.lighting)?.within(near_radii);
+    Some(RadianceSource::ErrorOf {
+        cloud: &baked.cloud,
+        dice: &baked.dice,
+        anew,
+    })
 }
 
 /// Light of `lighting` found anew at hits, on the sides that have surfels: once reflected. `None` where a few rays can't
@@ -103,20 +118,51 @@ pub(super) fn relight<'a>(
     HitLight::new(world.shader, &world.tracer, lighting, &baked.dice)
 }
 
-/// Compute `aovs` at `receivers`.
+/// Compute `aovs` at `receivers`: kinds of occlusion each by rays of their own, all others by one gather.
 pub(super) fn gather(
     world: &World<'_>,
     receivers: &Receivers,
     aovs: &[Aov],
     job: &GatherJob,
-    run: (&mut Report, &Diagnostics),
+    (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Results, Error> {
-    let (report, diagnostics) = run;
+    let mut groups: Vec<(Option<Cone>, Vec<Aov>)> = Vec::new();
+    for &aov in aovs {
+        let cone = job.occlusion.cone_of(aov);
+        match groups.iter_mut().find(|(known, _)| *known == cone) {
+            Some((_, group)) => group.push(aov),
+            None => groups.push((cone, vec![aov])),
+        }
+    }
+    // What the report tells last is what most asks for.
+    groups.sort_by_key(|(cone, _)| cone.is_none());
+    let mut all = Results::default();
+    for (cone, group) in &groups {
+        let run = (&mut *report, diagnostics);
+        let found = gather_group(world, (receivers, *cone), group, job, run)?;
+        all.buffers.extend(found.buffers);
+    }
+    let place = |buffer: &AovBuffer| aovs.iter().position(|&aov| aov == buffer.aov);
+    all.buffers.sort_by_key(place);
+    Ok(all)
+}
+
+/// Compute `aovs`, which all ask about the same cone of directions.
+fn gather_group(
+    world: &World<'_>,
+    (receivers, cone): (&Receivers, Option<Cone>),
+    aovs: &[Aov],
+    job: &GatherJob,
+    (report, diagnostics): (&mut Report, &Diagnostics),
+) -> Result<Results, Error> {
     report.counts.receivers = report.counts.receivers.max(receivers.len());
     report.counts.gathered = report.counts.receivers;
     let lit = spacing::lit(world, (receivers, aovs), job, (&mut *report, diagnostics))?;
     report.counts.surfels = report.counts.surfels.max(lit.light.len());
-    let stand = Stand::new(world, &lit, receivers, aovs, job);
+    let stand = Stand {
+        cone,
+        ..Stand::new(world, &lit, receivers, aovs, job)
+    };
     let found = choice::choose(&stand, report, diagnostics)?;
     let lighting = found.choice.lighting(world, diagnostics);
     let scene = GatherScene {
@@ -171,6 +217,10 @@ pub(super) fn gather(
 /// Cost of a reference receiver by rays over one by the paper's engine: measured between 2 and 4 on Cornell boxes.
 const PAPER_REFERENCE_COST: u32 = 4;
 
+/// Rays into a cone at least: all receivers have the same, and fewer print their pattern into what fades with distance (16
+/// in the room of `examples`, whose error they kept below 2 %).
+const LEAST_CONE_RAYS: u32 = 64;
+
 /// Everything a gather of one frame stands on.
 pub(super) struct Stand<'a> {
     world: &'a World<'a>,
@@ -182,6 +232,8 @@ pub(super) struct Stand<'a> {
     source: Option<RadianceSource<'a>>,
     octree: OnceCell<Octree>,
     maps_plan: OnceCell<MapsPlan<'a>>,
+    /// Part of the hemisphere that is asked about, by rays alone.
+    pub(super) cone: Option<Cone>,
     pub(super) receivers: &'a Receivers,
     pub(super) aovs: &'a [Aov],
     pub(super) job: &'a GatherJob,
@@ -206,6 +258,7 @@ impl<'a> Stand<'a> {
             },
             octree: OnceCell::new(),
             maps_plan: OnceCell::new(),
+            cone: None,
             receivers,
             aovs,
             job,
@@ -237,9 +290,15 @@ impl<'a> Stand<'a> {
     }
 
     pub(super) fn rays_settings(&self, rays: u32) -> RaysSettings {
+        let least = if self.cone.is_some() {
+            LEAST_CONE_RAYS
+        } else {
+            1
+        };
         RaysSettings {
-            rays,
+            rays: rays.max(least),
             max_distance: self.job.max_distance,
+            cone: self.cone,
             ..RaysSettings::default()
         }
     }
@@ -255,7 +314,7 @@ impl<'a> Stand<'a> {
         lighting: &'s Lighting,
         settings: RaysSettings,
     ) -> Option<RaysEngine<'s>> {
-        let source = (self.job.bounces == 1)
+        let source = (self.job.bounces == Bounces::Count(1))
             .then(|| self.light.at_hits(self.world, lighting))
             .flatten()?;
         Some(RaysEngine::new(&self.world.tracer, Some(source), settings))
@@ -417,7 +476,7 @@ pub(super) fn light(
 /// True if some of `aovs` holds light that surfaces reflect.
 pub(super) fn needs_surfels(world: &World<'_>, aovs: &[Aov], job: &GatherJob) -> bool {
     let shines = !world.lighting.is_dark() || !job.clouds.is_empty();
-    shines && job.bounces > 0 && aovs.iter().any(|aov| aov.needs_indirect())
+    shines && job.bounces != Bounces::Count(0) && aovs.iter().any(|aov| aov.needs_indirect())
 }
 
 /// `baked` after all reflections but the last.
@@ -427,7 +486,7 @@ pub(super) fn bounce(
     job: &GatherJob,
     run: (&mut Report, &Diagnostics),
 ) -> Result<Light, Error> {
-    if job.bounces <= 1 {
+    if job.bounces.is_at_most_once() {
         return Ok(Light::Baked(Box::new(baked)));
     }
     let cloud = bounced(world, &baked, job, run)?;
@@ -491,16 +550,19 @@ fn bounced(
             tracer: &world.tracer,
         }),
     };
-    let cloud = timed(&mut report.seconds.gather, || {
+    let (cloud, count) = timed(&mut report.seconds.gather, || {
         crate::bounce::bounce(clouds, &factory, job.bounces, diagnostics)
     })?;
+    report.set("bounces", count);
     Ok(cloud)
 }
 
 /// Record the settings of `job` as resolved.
 pub(super) fn record(job: &GatherJob, aovs: &[Aov], report: &mut Report) {
     report.set("aov", aovs.iter().map(|aov| aov.name()).collect::<Vec<_>>());
-    report.set("bounces", job.bounces);
+    if let Bounces::Count(count) = job.bounces {
+        report.set("bounces", count);
+    }
     report.error.tolerance = job.tolerance;
     if job.tolerance.is_none() {
         report.set("rays", job.rays);
@@ -508,5 +570,9 @@ pub(super) fn record(job: &GatherJob, aovs: &[Aov], report: &mut Report) {
     report.set("max_solid_angle", f64::from(job.max_solid_angle));
     report.set("raster_resolution", job.raster_resolution);
     report.set("max_distance", job.max_distance.map(f64::from));
+    if let Some(cone) = aovs.iter().find_map(|&aov| job.occlusion.cone_of(aov)) {
+        report.set("cone_angle", f64::from(cone.half_angle.to_degrees()));
+        report.set("falloff", cone.falloff.name());
+    }
     report.set("threads", rayon::current_num_threads());
 }

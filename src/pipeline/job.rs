@@ -1,10 +1,13 @@
 //! Jobs as meant: everything that was typed, checked and resolved.
 
 use crate::bake::BakeSettings;
+use crate::bounce::Bounces;
 use crate::gather::maps::MapsSettings;
+use crate::gather::rays::cone::{Axis, Cone, Falloff};
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::Purpose;
 use crate::stage::{Composition, Door};
+use std::f32::consts::{FRAC_PI_2, PI};
 use std::path::PathBuf;
 
 /// What all jobs say about their stage.
@@ -69,7 +72,7 @@ pub struct GatherJob {
     /// Results in order; empty for a render = what the stage's render settings ask, or `color`.
     pub aovs: Vec<Aov>,
     /// Reflections.
-    pub bounces: u32,
+    pub bounces: Bounces,
     /// The engine.
     pub engine: EngineChoice,
     /// Relative RMSE to meet; `None`: the knobs below say what to do.
@@ -84,12 +87,56 @@ pub struct GatherJob {
     pub raster_resolution: u32,
     /// Stage units.
     pub max_distance: Option<f32>,
+    /// What occlusion means.
+    pub occlusion: OcclusionKind,
     /// Clouds that shine instead of the stage's own surfels.
     pub clouds: Vec<PathBuf>,
     /// Dicing; `None` for the count = from the number of receivers.
     pub spacing: Option<f32>,
     /// Surfels to aim at.
     pub surfels: Option<usize>,
+}
+
+/// The part of the hemisphere that occlusion asks about, and what distance makes of it. PBGI §8.5.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OcclusionKind {
+    /// Half-angle of the cone, radians; `None`: the hemisphere, and of reflections [`Self::REFLECTION`].
+    pub half_angle: Option<f32>,
+    /// How coverage fades up to the largest distance.
+    pub falloff: Falloff,
+}
+
+impl Default for OcclusionKind {
+    fn default() -> Self {
+        Self {
+            half_angle: None,
+            falloff: Falloff::None,
+        }
+    }
+}
+
+impl OcclusionKind {
+    /// Half-angle of the cone of reflections where none is asked for, radians: 20°.
+    pub const REFLECTION: f32 = 20.0 * PI / 180.0;
+
+    /// The cone that `aov` asks about; `None` where it asks about the whole hemisphere.
+    pub fn cone_of(&self, aov: Aov) -> Option<Cone> {
+        let falloff = self.falloff;
+        let is_whole = self.half_angle.is_none() && falloff == Falloff::None;
+        match aov.error_of().unwrap_or(aov) {
+            Aov::ReflectionOcclusion => Some(Cone {
+                axis: Axis::Mirror,
+                half_angle: self.half_angle.unwrap_or(Self::REFLECTION),
+                falloff,
+            }),
+            Aov::Occlusion | Aov::Visibility if !is_whole => Some(Cone {
+                axis: Axis::Normal,
+                half_angle: self.half_angle.unwrap_or(FRAC_PI_2),
+                falloff,
+            }),
+            _ => None,
+        }
+    }
 }
 
 /// Surfels aimed at when nothing is asked: enough for the light of a room, up to a tenth of a surfel a receiver more.

@@ -17,14 +17,16 @@ mod verify;
 mod view;
 mod world;
 
+pub use crate::bounce::Bounces;
 pub use crate::gather::maps::MapsSettings;
+pub use crate::gather::rays::cone::Falloff;
 pub use info::{
     AnimationSummary, BrokenReference, GeometrySummary, JobReads, LightSummary, MaterialSummary,
     RenderSummary, StageSummary, Suspicion, TextureSummary, TreeEntry, info,
 };
 pub use job::{
-    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OutputJob, PointsJob, Purposed,
-    RenderJob, StageJob, VerifyJob,
+    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OcclusionKind, OutputJob, PointsJob,
+    Purposed, RenderJob, StageJob, VerifyJob,
 };
 pub use report::{Counts, ErrorReport, ReadReport, Report, Seconds};
 pub use validate::{CheckSummary, ValidationReport, validate};

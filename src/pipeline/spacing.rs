@@ -45,6 +45,12 @@ pub(super) enum Relit {
     All,
 }
 
+impl Default for Relit {
+    fn default() -> Self {
+        Self::Near(HitLight::NEAR_RADII)
+    }
+}
+
 impl Relit {
     /// As reports tell it: radii, or `all`.
     fn name(self) -> serde_json::Value {
@@ -68,7 +74,7 @@ impl From<Light> for Lit {
         Self {
             light,
             errors: Vec::new(),
-            relit: Relit::Near(HitLight::NEAR_RADII),
+            relit: Relit::default(),
         }
     }
 }

@@ -68,6 +68,7 @@ pub fn place_with(
         prim: Vec::new(),
         surface: Vec::new(),
         depth: Vec::new(),
+        toward_eye: Vec::new(),
         target: Target::Image {
             width: 0,
             height: 0,
@@ -88,6 +89,7 @@ pub fn place_with(
         receivers.prim.push(seen.surface.prim.0);
         receivers.surface.push(seen.surface);
         receivers.depth.push(seen.depth);
+        receivers.toward_eye.push(seen.toward_eye);
     }
     receivers.target = Target::Image {
         width: frame.width,
@@ -157,6 +159,8 @@ struct Seen {
     surface: SurfacePoint,
     /// Along the viewing axis.
     depth: f32,
+    /// Unit.
+    toward_eye: Vec3,
     front: bool,
 }
 
@@ -273,6 +277,7 @@ impl<'a> View<'a> {
                 footprint: self.lens.pixel_size(depth) as f32 * stretch,
             },
             depth: depth as f32,
+            toward_eye: -direction,
             front: hit.front,
         })
     }

@@ -29,6 +29,8 @@ pub struct Receivers {
     pub surface: Vec<SurfacePoint>,
     /// Distance along the viewing axis, stage units; empty unless placed by a camera.
     pub depth: Vec<f32>,
+    /// Unit directions to the eye; empty unless placed by a camera.
+    pub toward_eye: Vec<Vec3>,
     /// Where the values go.
     pub target: Target,
 }
@@ -65,11 +67,13 @@ impl Receivers {
         fn take<T: Copy>(column: &[T], picked: &[usize]) -> Vec<T> {
             picked.iter().map(|&i| column[i]).collect()
         }
-        let depth = if self.depth.is_empty() {
-            Vec::new()
-        } else {
-            take(&self.depth, picked)
-        };
+        fn take_if_any<T: Copy>(column: &[T], picked: &[usize]) -> Vec<T> {
+            if column.is_empty() {
+                Vec::new()
+            } else {
+                take(column, picked)
+            }
+        }
         Self {
             origin: self.origin,
             position: take(&self.position, picked),
@@ -77,7 +81,8 @@ impl Receivers {
             geometric_normal: take(&self.geometric_normal, picked),
             prim: take(&self.prim, picked),
             surface: take(&self.surface, picked),
-            depth,
+            depth: take_if_any(&self.depth, picked),
+            toward_eye: take_if_any(&self.toward_eye, picked),
             target: Target::Surfels,
         }
     }

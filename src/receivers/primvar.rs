@@ -33,6 +33,7 @@ pub fn place(scene: &Scene, prims: &[PrimId], interpolation: BakeInterpolation) 
         prim: Vec::new(),
         surface: Vec::new(),
         depth: Vec::new(),
+        toward_eye: Vec::new(),
         target: Target::Primvars(Vec::new()),
     };
     let mut spans = Vec::with_capacity(placed.len());

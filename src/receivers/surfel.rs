@@ -24,6 +24,7 @@ pub fn place(cloud: &SurfelCloud) -> Receivers {
         prim: cloud.prim.clone(),
         surface: (0..cloud.len()).map(surface).collect(),
         depth: Vec::new(),
+        toward_eye: Vec::new(),
         target: Target::Surfels,
     }
 }

@@ -65,6 +65,8 @@ aovs! {
     Occlusion, "occlusion", Float;
     /// 1 − occlusion.
     Visibility, "visibility", Float;
+    /// Occlusion in a cone about the mirror direction (images) or the normal (bakes), 0…1. PBGI §8.5.
+    ReflectionOcclusion, "reflection_occlusion", Float;
     /// Irradiance straight from lights and emissive surfaces, radiance·sr.
     IrradianceDirect, "irradiance_direct", Color;
     /// Irradiance from dome lights, unblocked directions only. PBGI §8.2.
@@ -146,7 +148,7 @@ impl Aov {
         )
     }
 
-    /// True if it tells which directions are open and nothing of light.
+    /// True if it tells which directions of the hemisphere are open and nothing of light.
     pub fn is_openness(self) -> bool {
         matches!(
             self,
@@ -179,6 +181,7 @@ impl Aov {
     /// True if it needs the hemisphere above the receiver at all.
     pub fn needs_hemisphere(self) -> bool {
         self.is_openness()
+            || self == Self::ReflectionOcclusion
             || self.error_of().is_some()
             || self.needs_direct()
             || self.needs_environment()

@@ -38,18 +38,15 @@ pub fn read_cloud(
     origin: DVec3,
     diagnostics: &Diagnostics,
 ) -> Result<SurfelCloud, Error> {
-    let layer_error = |message: String| Error::Layer {
-        path: path.to_owned(),
-        message,
-    };
-    let handle = std::fs::File::open(path).map_err(|source| Error::Unreadable {
-        path: path.to_owned(),
-        source,
-    })?;
-    let file = File::open(handle).map_err(layer_error)?;
+    file::on_layer(path, |file| clouds(file, origin, diagnostics))
+}
+
+/// All clouds of `file` as one.
+fn clouds(file: &File, origin: DVec3, diagnostics: &Diagnostics) -> Result<SurfelCloud, String> {
     if let Some(arc) = file.composes() {
-        let advice = "a cloud is read from one layer alone: flatten it first";
-        return Err(layer_error(format!("{arc}; {advice}")));
+        return Err(format!(
+            "{arc}; a cloud is read from one layer alone: flatten it first"
+        ));
     }
     let mut cloud = SurfelCloud {
         origin,
@@ -57,15 +54,15 @@ pub fn read_cloud(
     };
     let prims = file.points();
     if prims.is_empty() {
-        return Err(layer_error("it has no Points prim".to_owned()));
+        return Err("it has no Points prim".to_owned());
     }
     for prim in prims {
         let part = Part {
-            file: &file,
+            file,
             prim,
             diagnostics,
         };
-        if let Some(read) = part.read(origin).map_err(layer_error)? {
+        if let Some(read) = part.read(origin)? {
             append(&mut cloud, read);
         }
     }

@@ -146,6 +146,20 @@ const OLD_LIGHT_INPUTS: [&str; 10] = [
     "texture:*",
 ];
 
+/// What moves the points of a PointInstancer between time samples, if it has one of [`MOVERS`].
+pub const MOVED: [&str; 7] = [
+    "positions",
+    "velocities",
+    "accelerations",
+    "orientations",
+    "orientationsf",
+    "angularVelocities",
+    "scales",
+];
+
+/// See [`MOVED`].
+pub const MOVERS: [&str; 2] = ["velocities", "angularVelocities"];
+
 impl Request {
     /// The attributes that `settings` can make use of.
     pub fn for_settings(settings: &ReadSettings) -> Self {
@@ -316,6 +330,18 @@ pub struct RawAttribute {
     pub connections: Vec<String>,
     /// More than one time sample (or clips); or time samples and no value at the requested time.
     pub varying: bool,
+    /// Of what [`MOVED`] lists, on a PointInstancer that moves so: the last sample up to the requested time, or the
+    /// first of all.
+    pub held: Option<Sample>,
+}
+
+/// A time sample.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sample {
+    /// Time code of the stage.
+    pub time: f64,
+    /// Its value.
+    pub value: Value,
 }
 
 /// A value. All widths of a kind are unified; arrays keep single precision where USD has single or half, and

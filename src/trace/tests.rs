@@ -180,7 +180,8 @@ fn instances_agree_with_their_flattened_copies_mirrored_and_sheared() {
         .collect();
     let mut prims: Vec<_> = transforms.iter().map(|t| (0, *t)).collect();
     prims.push((1, Affine3A::IDENTITY));
-    let tracer = Tracer::new(&scene(vec![mesh(&triangles), mesh(&second)], &prims));
+    let scene = scene(vec![mesh(&triangles), mesh(&second)], &prims);
+    let tracers = [0, usize::MAX].map(|copies| Tracer::with_copies(&scene, copies));
     let mut flat = Vec::new();
     for (mesh, transform) in &prims {
         for t in if *mesh == 0 { &triangles } else { &second } {
@@ -189,8 +190,9 @@ fn instances_agree_with_their_flattened_copies_mirrored_and_sheared() {
     }
     let flattened = single(&flat);
     let mut differing = 0;
-    for _ in 0..20_000 {
+    for k in 0..20_000 {
         let (origin, direction) = (random.vector() * 3.0, random.direction());
+        let tracer = &tracers[k % 2];
         let a = tracer.closest(origin, direction, f32::INFINITY);
         let b = flattened.closest(origin, direction, f32::INFINITY);
         let is_same = match (a, b) {
@@ -458,9 +460,11 @@ fn packets(random: &mut Random) -> Vec<(Vec3, Vec<Vec3>, u64)> {
 #[test]
 fn packets_hit_what_their_rays_hit_to_the_last_bit() {
     let mut random = Random(78);
-    let tracer = Tracer::new(&mixed_scene(&mut random));
+    let scene = mixed_scene(&mut random);
+    let tracers = [0, usize::MAX].map(|copies| Tracer::with_copies(&scene, copies));
     let (mut blocked, mut found, mut hits) = (0, 0, [None; 64]);
-    for (direction, origins, active) in packets(&mut random) {
+    for (k, (direction, origins, active)) in packets(&mut random).into_iter().enumerate() {
+        let tracer = &tracers[k / 2 % 2];
         for max_distance in [0.3, f32::INFINITY] {
             let mask = tracer.occluded_along(direction, &origins, max_distance, active);
             tracer.closest_along(direction, &origins, (max_distance, active), &mut hits);
@@ -485,7 +489,7 @@ fn packets_hit_what_their_rays_hit_to_the_last_bit() {
 fn the_hierarchy_finds_what_a_search_of_all_triangles_finds_to_the_last_bit() {
     let mut random = Random(80);
     let scene = mixed_scene(&mut random);
-    let tracer = Tracer::new(&scene);
+    let tracer = Tracer::with_copies(&scene, 0);
     let mut found = 0;
     for (direction, origins, _) in packets(&mut random) {
         for &origin in origins.iter().take(2) {
@@ -500,7 +504,7 @@ fn the_hierarchy_finds_what_a_search_of_all_triangles_finds_to_the_last_bit() {
 #[test]
 fn every_instruction_set_gives_the_same_bits() {
     let mut random = Random(77);
-    let mut tracer = Tracer::new(&mixed_scene(&mut random));
+    let mut tracer = Tracer::with_copies(&mixed_scene(&mut random), 0);
     let best = tracer.level;
     for (direction, origins, active) in packets(&mut random) {
         let mut answers = [best, Level::baseline()].into_iter().map(|level| {

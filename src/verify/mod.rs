@@ -15,7 +15,7 @@ pub use machine::Machine;
 pub use picture::{ErrorPicture, picture};
 
 use crate::diagnostics::{Cancelled, Diagnostics, Silent};
-use crate::gather::GatherScene;
+use crate::gather::{self, GatherScene};
 use crate::pilot::clock::Clock;
 use crate::pilot::error::{ErrorStatistics, Truth, relative, statistics, values};
 use crate::pilot::{Check, Knobs, Method, crowd};
@@ -42,17 +42,24 @@ pub struct Set<'a> {
     pub all: &'a Receivers,
     /// Neighbors, which tell what a receiver of a run costs.
     crowd: Receivers,
+    /// Whole groups of neighbors around the picks.
+    groups: Receivers,
+    /// Where the picks are among them.
+    places: Vec<usize>,
 }
 
 impl<'a> Set<'a> {
     /// The receivers `picks` of `all`.
     pub fn new(name: &'static str, all: &'a Receivers, picks: Vec<usize>) -> Self {
+        let (members, places) = gather::groups(all, &picks);
         Self {
             name,
             receivers: all.subset(&picks),
             picks,
             all,
             crowd: crowd(all),
+            groups: all.subset(&members),
+            places,
         }
     }
 }
@@ -62,6 +69,8 @@ impl<'a> Set<'a> {
 pub enum Sees {
     /// Some receivers: each costs the same, but for what it shares with its neighbors.
     Each,
+    /// Whole groups of neighbors: they share work, and err by it.
+    Groups,
     /// All receivers at once: what they share is most of the cost. The check, if there is one, tells the error that a
     /// run would report.
     All(Option<Check>),
@@ -87,6 +96,7 @@ impl Subject<'_> {
     fn receivers<'s>(&self, set: &'s Set<'_>) -> &'s Receivers {
         match self.sees {
             Sees::Each => &set.crowd,
+            Sees::Groups => &set.groups,
             Sees::All(_) => set.all,
         }
     }
@@ -292,7 +302,7 @@ pub fn measure(
                         values: look(question, subject.method.as_ref(), &set.receivers, &silent)?,
                         ..timed
                     },
-                    Sees::All(_) => timed,
+                    Sees::Groups | Sees::All(_) => timed,
                 };
                 rows.push(row(question, subject, (set, &pass), &truth));
             }
@@ -336,10 +346,17 @@ fn run(
     let seconds = start.seconds() / receivers.len().max(1) as f64;
     let mut found = values(&results, question.aov).unwrap_or_default();
     let mut estimate = None;
-    if let Sees::All(check) = &subject.sees {
+    let places = match &subject.sees {
+        Sees::Each => None,
+        Sees::Groups => Some(&set.places),
+        Sees::All(_) => Some(&set.picks),
+    };
+    if let Some(places) = places {
         let n = found.len() / receivers.len().max(1);
-        let picked = set.picks.iter().flat_map(|&i| &found[i * n..][..n]);
+        let picked = places.iter().flat_map(|&i| &found[i * n..][..n]);
         found = picked.copied().collect();
+    }
+    if let Sees::All(check) = &subject.sees {
         let errors = check.as_ref().map(|check| check.errors(&results));
         let errors = errors.into_iter().flatten();
         estimate = errors.map(|error| error.relative_rmse).reduce(f64::max);

@@ -100,6 +100,7 @@ fn compare(scene: &Scene, surfels: usize, width: usize) {
             rays,
             turn,
             max_distance: None,
+            cone: None,
         };
         Box::new(RaysEngine::new(&tracer, Some(source), settings)) as Box<dyn Engine>
     };

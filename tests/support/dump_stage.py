@@ -82,14 +82,15 @@ def metadata(thing, key):
 
 def attribute(attr, time):
     source = attr.GetResolveInfo(time).GetSource()
+    value = attr.Get(time) if source in AUTHORED else None
     return {
         "type": str(attr.GetTypeName()),
-        "value": encode(attr.Get(time)) if source in AUTHORED else None,
+        "value": encode(value) if value is not None else None,
         "interpolation": metadata(attr, "interpolation"),
         "elementSize": metadata(attr, "elementSize"),
         "colorSpace": metadata(attr, "colorSpace"),
         "connections": [str(path) for path in attr.GetConnections()],
-        "varying": attr.ValueMightBeTimeVarying(),
+        "varying": attr.ValueMightBeTimeVarying() or (value is None and attr.GetNumTimeSamples() > 0),
     }
 
 

@@ -245,6 +245,7 @@ pub(crate) fn receivers_at(scene: &Scene, points: &[(PrimId, u32, f32, f32)]) ->
         prim: Vec::new(),
         surface: Vec::new(),
         depth: Vec::new(),
+        toward_eye: Vec::new(),
         target: Target::Surfels,
     };
     for &(prim, triangle, u, v) in points {

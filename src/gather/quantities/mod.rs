@@ -48,7 +48,9 @@ pub struct Seen<'a> {
 /// Write the value of `aov` to `out`, `aov.components()` floats.
 pub fn write(aov: Aov, seen: &Seen<'_>, out: &mut [f32]) {
     match aov {
-        Aov::Occlusion => out[0] = occlusion::occlusion(seen.hemisphere),
+        Aov::Occlusion | Aov::ReflectionOcclusion => {
+            out[0] = occlusion::occlusion(seen.hemisphere);
+        }
         Aov::Visibility => out[0] = occlusion::visibility(seen.hemisphere),
         Aov::BentNormal => put(out, bent_normal::bent_normal(seen)),
         Aov::IlluminationDirection => put(out, bent_normal::illumination_direction(seen)),

@@ -9,9 +9,6 @@ use crate::receivers::Receivers;
 /// Groups looked at, each around another one of the pilot's receivers: 6144 receivers of the run.
 const GROUPS: usize = 48;
 
-/// Receivers of a group: as many as share their work, and as many again around them.
-const GROUP: usize = 2 * gather::BLOCK;
-
 /// Whole groups of neighbors.
 pub(super) struct Groups {
     receivers: Receivers,
@@ -24,26 +21,13 @@ pub(super) struct Groups {
 impl Groups {
     /// The groups of some of `picks`, which are among `all`.
     fn around(all: &Receivers, picks: &[usize]) -> Self {
-        let order = gather::neighbors(all);
-        let mut place_of = vec![0; order.len()];
-        for (place, &i) in order.iter().enumerate() {
-            place_of[i] = place;
-        }
         let few = spread(picks.len(), GROUPS.min(picks.len()));
-        let group = |&k: &usize| place_of[picks[k]] / GROUP;
-        let mut groups: Vec<usize> = few.iter().map(group).collect();
-        groups.sort_unstable();
-        groups.dedup();
-        let members = |group: &usize| {
-            let start = group * GROUP;
-            start..(start + GROUP).min(order.len())
-        };
-        let chosen: Vec<usize> = groups.iter().flat_map(members).map(|p| order[p]).collect();
-        let place = |k: &usize| chosen.iter().position(|&i| i == picks[*k]);
+        let chosen: Vec<usize> = few.iter().map(|&k| picks[k]).collect();
+        let (members, places) = gather::groups(all, &chosen);
         Self {
-            places: few.iter().filter_map(place).collect(),
-            receivers: all.subset(&chosen),
+            receivers: all.subset(&members),
             few,
+            places,
         }
     }
 }

@@ -1,21 +1,29 @@
 //! What surfels' size costs, told by light found anew at what a few receivers see.
 //!
-//! The same rays read surfels and light hits anew; what differs on the way to the mean over many rays is the surfels'
+//! Where rays read surfels their hits are lit anew; what differs on the way to the mean over many rays is the surfels'
 //! error. Light at a hit is itself noisy, so two independent sets of rays are compared: the product of both differences
 //! is in the mean the square of the error, with no part of the noise in it. Sets are added until the noise left tells on
 //! which side of the allowed error the surfels are.
 //!
-//! Where only very many surfels would do, the run lights all its hits anew, if that takes fewer rays.
+//! Hits near surfels that are too coarse can be lit anew farther out, all hits can, or surfels can be finer: whatever
+//! takes the fewest rays.
 
 use super::super::Error;
-use super::super::gather::{dice, read_surfels, relight};
+use super::super::gather::{dice, errors_of_surfels, read_surfels, relight};
 use super::super::report::Report;
 use super::{Climbed, FEWEST, Ladder, MOST, Relit, STALLED, is_measured, law, more};
 use crate::bake::Baked;
+use crate::bounce::Bounces;
 use crate::diagnostics::Diagnostics;
 use crate::gather::{self, GatherScene, HitLight, RadianceSource, RaysEngine, RaysSettings};
 use crate::pilot::error::{mean_magnitude, relative, rms_difference, values};
-use crate::results::Aov;
+use crate::receivers::Receivers;
+use crate::results::{Aov, Results};
+use rayon::prelude::*;
+use std::f64::consts::SQRT_2;
+
+/// Receivers that look at a time.
+const PART: usize = 8;
 
 /// Tolerance that a run's usual surfels suit, about: the Cornell box of the README takes 0.3 times as many.
 const USUAL: f64 = 0.01;
@@ -25,11 +33,14 @@ const USUAL: f64 = 0.01;
 /// surfels, 2.5, 0.9, 0.75, 0.8 % of 103 000 (no more than 0.7 % could be told).
 const NEAR_RADII: [f32; 2] = [HitLight::NEAR_RADII, 6.0];
 
-/// Rays of a set at each of the few receivers.
-const RAYS: u32 = 256;
+/// Rays of a set at each of the few receivers: the finer the tolerance the more, since one set of many leaves less noise
+/// than several of few.
+const RAYS: (f64, f64) = (64.0, 256.0);
+/// Those of a tolerance of 1.
+const RAYS_OF_ONE: f64 = 5.12;
 
-/// Pairs of sets at most: two million rays at 128 receivers.
-const MOST_PAIRS: usize = 32;
+/// Rays at each of the few receivers at most, of all sets: two million at 128 receivers.
+const MOST_RAYS: f64 = 16_384.0;
 
 /// Turn of the pattern from one set to the next: no multiple is one of the run (0), the pilot or `verify`.
 const TURN: f32 = 0.267_949_2;
@@ -53,30 +64,28 @@ const LIGHT_RAYS: f64 = 1.0;
 /// Fewest rays of a run.
 const FEWEST_RAYS: f64 = 16.0;
 
-/// Power of the rays that the square of a pattern's error falls with (measured: 64 to 4096 rays); noise at hits falls with
-/// the first.
+/// Power of the rays that the square of a pattern's error falls with (measured: 64 to 4096 rays), and that of noise at
+/// hits.
 const PATTERN_LAW: f64 = 1.5;
+const HITS_LAW: f64 = 1.0;
 
 /// Components of a carrier.
 const COLORS: f64 = 3.0;
 
 /// What surfels leave, and how it comes to that.
+#[derive(Debug, Default)]
 struct Judged {
     errors: Vec<f64>,
     relit: Relit,
-}
-
-impl Judged {
-    /// Surfels leave no error where none is read.
-    const ALL: Self = Self {
-        errors: Vec::new(),
-        relit: Relit::All,
-    };
+    /// Rays that a receiver of the run needs.
+    rays: f64,
+    /// Share of them whose hits are lit anew.
+    relit_share: f64,
 }
 
 impl Ladder<'_> {
-    /// Finer and finer clouds, until one is fine enough or lighting all hits anew is cheaper. What was asked for by name
-    /// stays.
+    /// Finer and finer clouds, until one is fine enough and a finer one would take more rays than lighting more hits anew.
+    /// What was asked for by name stays.
     pub(super) fn climb_by_hits(
         &self,
         (report, diagnostics): (&mut Report, &Diagnostics),
@@ -89,24 +98,21 @@ impl Ladder<'_> {
         let mut before = None;
         loop {
             let baked = dice(self.world, &settings, (&mut *report, diagnostics))?;
-            let found = self.nearest_relit(&mut witness, &baked, diagnostics)?;
-            let (worst, count) = (self.worst(&found.errors), baked.cloud.len());
+            let judged = self.judge_all(&mut witness, &baked, diagnostics)?;
+            let (worst, count) = (self.least(&judged), baked.cloud.len());
             let is_stalled = before.is_some_and(|before| law((before, (count, worst))) < STALLED);
-            let next = more(count, worst);
-            let is_enough = worst <= 1.0 || self.is_fixed();
-            let is_last = is_stalled || count >= MOST;
-            let all = !is_enough
-                && self.job.bounces <= 1
-                && (is_last || self.is_cheaper_at_hits(&witness, next));
-            if is_enough || is_last || all {
-                let found = if all { Judged::ALL } else { found };
+            let is_last = self.is_fixed() || is_stalled || count >= MOST;
+            let (next, rays_with_finer) = self.finer(&judged, count);
+            let best = self.best(judged);
+            let is_enough = self.worst(&best.errors) <= 1.0;
+            if is_last || (is_enough && self.rays_of_run(&best) <= rays_with_finer) {
                 report.set("spacing", f64::from(baked.cloud.spacing));
-                report.set("surfel_error", self.worst(&found.errors) * self.allowed);
-                report.set("relit", found.relit.name());
+                report.set("surfel_error", self.worst(&best.errors) * self.allowed);
+                report.set("relit", best.relit.name());
                 return Ok(Climbed {
                     baked,
-                    errors: found.errors,
-                    relit: found.relit,
+                    errors: best.errors,
+                    relit: best.relit,
                 });
             }
             settings.surfels = next;
@@ -114,36 +120,61 @@ impl Ladder<'_> {
         }
     }
 
-    /// How far hits have to be lit anew so that the surfels of `baked` are good enough, or the farthest that is tried.
-    fn nearest_relit(
+    /// What the surfels of `baked` leave, the nearest hits lit anew first; farther ones only where the nearer do not do.
+    fn judge_all(
         &self,
         witness: &mut Witness<'_>,
         baked: &Baked,
         diagnostics: &Diagnostics,
-    ) -> Result<Judged, Error> {
-        let tried = if self.job.bounces <= 1 {
-            NEAR_RADII.as_slice()
-        } else {
-            &NEAR_RADII[..1]
-        };
-        let mut best: Option<Judged> = None;
-        for &radii in tried {
-            let judged = Judged {
-                errors: witness.judge(baked, radii, diagnostics)?,
-                relit: Relit::Near(radii),
-            };
-            let worst = self.worst(&judged.errors);
-            if best
-                .as_ref()
-                .is_none_or(|best| worst < self.worst(&best.errors))
-            {
-                best = Some(judged);
-            }
-            if worst <= 1.0 {
-                break;
+    ) -> Result<Vec<Judged>, Error> {
+        let mut all = Vec::new();
+        for radii in NEAR_RADII {
+            let judged = witness.judge(baked, radii, diagnostics)?;
+            let is_enough = self.worst(&judged.errors) <= 1.0;
+            all.push(judged);
+            if is_enough || !self.job.bounces.is_at_most_once() {
+                return Ok(all);
             }
         }
-        Ok(best.unwrap_or(Judged::ALL))
+        if !self.is_fixed() {
+            all.extend(witness.all_anew(baked));
+        }
+        Ok(all)
+    }
+
+    /// The least of the worst errors that surfels leave.
+    fn least(&self, judged: &[Judged]) -> f64 {
+        let read = judged.iter().filter(|one| one.relit != Relit::All);
+        let worst = read.map(|one| self.worst(&one.errors));
+        worst.fold(f64::INFINITY, f64::min)
+    }
+
+    /// The one that is good enough with the fewest rays, or else the best.
+    fn best(&self, judged: Vec<Judged>) -> Judged {
+        let rank = |one: &Judged| {
+            let worst = self.worst(&one.errors);
+            if worst <= 1.0 {
+                (0.0, self.rays_of_run(one))
+            } else {
+                (worst, 0.0)
+            }
+        };
+        let best = judged.into_iter().min_by(|a, b| {
+            let ((a, rays_a), (b, rays_b)) = (rank(a), rank(b));
+            a.total_cmp(&b).then(rays_a.total_cmp(&rays_b))
+        });
+        best.unwrap_or_default()
+    }
+
+    /// How many surfels are tried after `count` of them that were `judged`, and rays with these, if they are good enough.
+    fn finer(&self, judged: &[Judged], count: usize) -> (usize, f64) {
+        let read = judged.iter().filter(|one| one.relit != Relit::All);
+        let rays = read.map(|one| {
+            let next = more(count, self.worst(&one.errors));
+            (next, self.rays_of_dicing(next) + self.rays_of_run(one))
+        });
+        rays.min_by(|a, b| a.1.total_cmp(&b.1))
+            .unwrap_or((count, f64::INFINITY))
     }
 
     /// Surfels to begin with.
@@ -157,16 +188,24 @@ impl Ladder<'_> {
         ((usual as f64 * part) as usize).max(FEWEST)
     }
 
-    /// True if the run traces fewer rays when it lights all hits anew than with `surfels` of them.
-    fn is_cheaper_at_hits(&self, witness: &Witness<'_>, surfels: usize) -> bool {
+    /// Rays that light `surfels`.
+    fn rays_of_dicing(&self, surfels: usize) -> f64 {
+        let (lights, sky) = self.lights();
+        surfels as f64 * (1.0 + lights + SKY_RAYS_A_SURFEL * sky)
+    }
+
+    /// Rays of all receivers, and those that light their hits.
+    fn rays_of_run(&self, judged: &Judged) -> f64 {
+        let (lights, sky) = self.lights();
+        let of_hits = judged.relit_share * (lights + SKY_RAYS_A_HIT * sky);
+        self.receivers as f64 * judged.rays * (1.0 + of_hits)
+    }
+
+    /// Rays to lights from each place, and 1 where there is a sky.
+    fn lights(&self) -> (f64, f64) {
         let lighting = &self.world.lighting;
-        let lights = LIGHT_RAYS * lighting.light_count() as f64;
         let sky = f64::from(u8::from(lighting.has_environment()));
-        let [by_surfels, at_hits] = witness.rays_needed(RAYS_SHARE * self.tolerance);
-        let receivers = self.receivers as f64;
-        let with_surfels =
-            surfels as f64 * (1.0 + lights + SKY_RAYS_A_SURFEL * sky) + receivers * by_surfels;
-        receivers * at_hits * (1.0 + lights + SKY_RAYS_A_HIT * sky) < with_surfels
+        (LIGHT_RAYS * lighting.light_count() as f64, sky)
     }
 }
 
@@ -178,12 +217,14 @@ struct Witness<'a> {
     ladder: &'a Ladder<'a>,
     /// AOVs that hold all of the surfels' error in those that are asked for.
     carriers: Vec<Aov>,
+    /// The few receivers, some at a time.
+    parts: Vec<Receivers>,
+    /// Of a set.
+    rays: f64,
     /// Mean magnitude of each AOV asked for.
     means: Vec<f64>,
-    /// By set.
+    /// Two sets.
     at_hits: Vec<Values>,
-    /// Mean square of the noise of each carrier's set, by surfels and lit anew.
-    noise: Vec<[f64; 2]>,
 }
 
 impl<'a> Witness<'a> {
@@ -191,51 +232,71 @@ impl<'a> Witness<'a> {
         let mut carriers: Vec<Aov> = ladder.asked().map(carrier).collect();
         carriers.sort();
         carriers.dedup();
+        let few: Vec<usize> = (0..ladder.few.len()).collect();
+        let parts = few.chunks(PART).map(|part| ladder.few.subset(part));
+        let parts = parts.collect();
         Self {
             ladder,
             carriers,
+            parts,
+            rays: (RAYS_OF_ONE / ladder.tolerance)
+                .clamp(RAYS.0, RAYS.1)
+                .round(),
             means: Vec::new(),
             at_hits: Vec::new(),
-            noise: Vec::new(),
         }
     }
 
-    /// Relative error that the surfels of `baked` leave in each of the run's AOVs where hits nearer than `near_radii` of
-    /// theirs are lit anew.
+    /// What the surfels of `baked` leave in each of the run's AOVs where hits nearer than `near_radii` of theirs are lit
+    /// anew.
     fn judge(
         &mut self,
         baked: &Baked,
         near_radii: f32,
         diagnostics: &Diagnostics,
-    ) -> Result<Vec<f64>, Error> {
-        let by_surfels = read_surfels(baked, self.ladder.world, (1, near_radii));
-        if self.means.is_empty() {
-            self.means = self.measure_means(baked, diagnostics)?;
+    ) -> Result<Judged, Error> {
+        if self.at_hits.is_empty() {
+            self.light_anew(baked, diagnostics)?;
         }
+        let errors = errors_of_surfels(baked, self.ladder.world, near_radii);
         let mut sums: [Values; 2] = [Vec::new(), Vec::new()];
         let mut found = Vec::new();
-        for pair in 0..MOST_PAIRS {
-            let mut reads = Vec::new();
+        for pair in 0..self.most_pairs() {
             for (half, sum) in sums.iter_mut().enumerate() {
                 let set = 2 * pair + half;
-                if self.at_hits.len() <= set {
-                    let anew = self.look(self.anew(baked), set, diagnostics)?;
-                    self.at_hits.push(anew);
-                }
-                let read = self.look(Some(by_surfels.clone()), set, diagnostics)?;
-                add_differences(sum, (&read, &self.at_hits[set]));
-                reads.push(read);
-            }
-            if pair == 0 {
-                self.note_noise(&reads);
+                let results = self.look(errors.as_ref(), set, &self.carriers, diagnostics)?;
+                add(sum, &self.of_carriers(&results));
             }
             found = self.squares(&sums, (pair + 1) as f64);
             if pair > 0 && found.iter().all(|&square| self.is_sure(square)) {
                 break;
             }
         }
+        let by_surfels = read_surfels(baked, self.ladder.world, (Bounces::Count(1), near_radii));
+        let reads = self.two_sets(&by_surfels, diagnostics)?;
         let error = |(square, error): (f64, f64)| (square.max(0.0) + error).sqrt();
-        Ok(found.into_iter().map(error).collect())
+        let relit_share = self.relit_share(&by_surfels);
+        Ok(Judged {
+            errors: found.into_iter().map(error).collect(),
+            relit: Relit::Near(near_radii),
+            rays: self.rays_needed(&reads, relit_share),
+            relit_share,
+        })
+    }
+
+    /// Surfels leave no error where none is read. `None` before hits were lit anew.
+    fn all_anew(&self, baked: &Baked) -> Option<Judged> {
+        let relit_share = self.relit_share(&self.anew(baked)?);
+        (self.at_hits.len() > 1).then(|| Judged {
+            errors: Vec::new(),
+            relit: Relit::All,
+            rays: self.rays_needed(&self.at_hits, relit_share),
+            relit_share,
+        })
+    }
+
+    fn relit_share(&self, source: &RadianceSource<'_>) -> f64 {
+        source.relit_share(&self.ladder.world.tracer, self.ladder.few)
     }
 
     /// True if a squared error with this standard error is known well enough.
@@ -266,66 +327,107 @@ impl<'a> Witness<'a> {
         self.carriers.iter().position(is_told)
     }
 
-    /// Note the noise of single sets: two of `reads` by surfels, and the first two lit anew.
-    fn note_noise(&mut self, reads: &[Values]) {
-        let noise = |sets: &[Values], c: usize| match sets {
-            [a, b, ..] => 0.5 * rms_difference(&a[c], &b[c]).powi(2),
-            _ => 0.0,
+    /// Rays that bring the noise of `sets`, two or more of which are looked at, down to what the tolerance leaves for them;
+    /// in the hits of `relit_share` light is found anew.
+    fn rays_needed(&self, sets: &[Values], relit_share: f64) -> f64 {
+        let ([a, b] | [a, b, ..]) = sets else {
+            return FEWEST_RAYS;
         };
-        self.noise = (0..self.carriers.len())
-            .map(|c| [noise(reads, c), noise(&self.at_hits, c)])
-            .collect();
+        let allowed = RAYS_SHARE * self.ladder.tolerance;
+        let law = PATTERN_LAW + (HITS_LAW - PATTERN_LAW) * relit_share;
+        let needed = |(&aov, &mean): (&Aov, &f64)| {
+            let c = self.carrier_index(aov)?;
+            let noise = relative(rms_difference(&a[c], &b[c]), mean) / SQRT_2;
+            Some(self.rays * (noise / allowed).powf(2.0 / law))
+        };
+        let aovs = self.ladder.aovs.iter().zip(&self.means);
+        aovs.filter_map(needed).fold(FEWEST_RAYS, f64::max)
     }
 
-    /// Rays that bring the noise down to the relative error `allowed`: by surfels and lit anew.
-    fn rays_needed(&self, allowed: f64) -> [f64; 2] {
-        let mut most = [FEWEST_RAYS; 2];
-        for (&aov, &mean) in self.ladder.aovs.iter().zip(&self.means) {
-            let Some(c) = self.carrier_index(aov) else {
-                continue;
-            };
-            let square = |x: f64| relative(relative(x, mean), mean) / (allowed * allowed);
-            let [surfels, hits] = self.noise[c].map(square);
-            let needed = [surfels.powf(1.0 / PATTERN_LAW), hits];
-            most = [0, 1].map(|i| most[i].max(f64::from(RAYS) * needed[i]));
-        }
-        most
-    }
-
-    fn anew<'b>(&'b self, baked: &'b Baked) -> Option<RadianceSource<'b>> {
+    fn anew<'b>(&self, baked: &'b Baked) -> Option<RadianceSource<'b>>
+    where
+        'a: 'b,
+    {
         let world = self.ladder.world;
         relight(baked, world, &world.lighting).map(RadianceSource::AtHits)
     }
 
-    fn measure_means(&self, baked: &Baked, diagnostics: &Diagnostics) -> Result<Vec<f64>, Error> {
-        let engine = self.engine(self.anew(baked), 0);
-        let aovs: Vec<Aov> = self.ladder.asked().collect();
-        let results = gather::gather(self.scene(), &engine, self.ladder.few, &aovs, diagnostics)?;
-        let mean = |&aov: &Aov| mean_magnitude(&values(&results, aov).unwrap_or_default());
-        Ok(self.ladder.aovs.iter().map(mean).collect())
+    /// Two sets by `source`.
+    fn two_sets(
+        &self,
+        source: &RadianceSource<'_>,
+        diagnostics: &Diagnostics,
+    ) -> Result<Vec<Values>, Error> {
+        let look = |set| {
+            let results = self.look(Some(source), set, &self.carriers, diagnostics)?;
+            Ok(self.of_carriers(&results))
+        };
+        [0, 1].into_iter().map(look).collect()
     }
 
+    /// Look along two sets, lit anew, which tell the means and the noise.
+    fn light_anew(&mut self, baked: &Baked, diagnostics: &Diagnostics) -> Result<(), Error> {
+        let Some(anew) = self.anew(baked) else {
+            return Ok(());
+        };
+        let asked: Vec<Aov> = self.ladder.asked().collect();
+        let results = self.look(Some(&anew), 0, &asked, diagnostics)?;
+        let mean = |&aov: &Aov| mean_magnitude(&values(&results, aov).unwrap_or_default());
+        self.means = self.ladder.aovs.iter().map(mean).collect();
+        self.at_hits = self.two_sets(&anew, diagnostics)?;
+        Ok(())
+    }
+
+    fn of_carriers(&self, results: &Results) -> Values {
+        let of = |&aov: &Aov| values(results, aov).unwrap_or_default();
+        self.carriers.iter().map(of).collect()
+    }
+
+    /// Some of the few receivers at a time: all of them would be one block, one thread's work.
     fn look(
         &self,
-        source: Option<RadianceSource<'_>>,
+        source: Option<&RadianceSource<'_>>,
         set: usize,
+        aovs: &[Aov],
         diagnostics: &Diagnostics,
-    ) -> Result<Values, Error> {
-        let engine = self.engine(source, set);
-        let few = self.ladder.few;
-        let results = gather::gather(self.scene(), &engine, few, &self.carriers, diagnostics)?;
-        let of = |&aov: &Aov| values(&results, aov).unwrap_or_default();
-        Ok(self.carriers.iter().map(of).collect())
+    ) -> Result<Results, Error> {
+        let engine = self.engine(source.cloned(), set);
+        let look =
+            |some: &Receivers| gather::gather(self.scene(), &engine, some, aovs, diagnostics);
+        let parts: Vec<Results> = self.parts.par_iter().map(look).collect::<Result<_, _>>()?;
+        let mut parts = parts.into_iter();
+        let mut all = parts.next().unwrap_or_default();
+        for part in parts {
+            for (buffer, more) in all.buffers.iter_mut().zip(part.buffers) {
+                buffer.data.extend(more.data);
+            }
+        }
+        Ok(all)
     }
 
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "at most 128"
+    )]
+    fn most_pairs(&self) -> usize {
+        (0.5 * MOST_RAYS / self.rays) as usize
+    }
+
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "at most 256"
+    )]
     fn engine<'s>(&self, source: Option<RadianceSource<'s>>, set: usize) -> RaysEngine<'s>
     where
         'a: 's,
     {
         let settings = RaysSettings {
-            rays: RAYS,
+            rays: self.rays as u32,
             max_distance: self.ladder.job.max_distance,
             turn: TURN * (set + 1) as f32,
+            cone: None,
         };
         RaysEngine::new(&self.ladder.world.tracer, source, settings)
     }
@@ -349,14 +451,12 @@ fn carrier(aov: Aov) -> Aov {
     }
 }
 
-/// Add `read − anew` to `sums`, each carrier's.
-fn add_differences(sums: &mut Values, (read, anew): (&Values, &Values)) {
-    sums.resize(read.len(), Vec::new());
-    for (sum, (read, anew)) in sums.iter_mut().zip(read.iter().zip(anew)) {
-        sum.resize(read.len(), 0.0);
-        for (sum, (read, anew)) in sum.iter_mut().zip(read.iter().zip(anew)) {
-            *sum += read - anew;
-        }
+/// Add `values` to `sums`, each carrier's.
+fn add(sums: &mut Values, values: &Values) {
+    sums.resize(values.len(), Vec::new());
+    for (sum, values) in sums.iter_mut().zip(values) {
+        sum.resize(values.len(), 0.0);
+        sum.iter_mut().zip(values).for_each(|(sum, x)| *sum += x);
     }
 }
 
@@ -392,11 +492,10 @@ mod tests {
     }
 
     #[test]
-    fn differences_add_up() {
+    fn values_of_sets_add_up() {
         let mut sums = Vec::new();
-        let (read, anew) = (vec![vec![3.0, 1.0]], vec![vec![1.0, 2.0]]);
-        add_differences(&mut sums, (&read, &anew));
-        add_differences(&mut sums, (&read, &anew));
-        assert_eq!(sums, [[4.0, -2.0]]);
+        add(&mut sums, &vec![vec![3.0, 1.0]]);
+        add(&mut sums, &vec![vec![1.0, -2.0]]);
+        assert_eq!(sums, [[4.0, -1.0]]);
     }
 }

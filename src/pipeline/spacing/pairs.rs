@@ -5,6 +5,7 @@ use super::super::gather::{dice, read_surfels};
 use super::super::report::Report;
 use super::{Climbed, FEWEST, LAW, Ladder, MOST, Relit, STALLED, is_measured, law, more};
 use crate::bake::{BakeSettings, Baked};
+use crate::bounce::Bounces;
 use crate::diagnostics::Diagnostics;
 use crate::gather::{self, GatherScene, HitLight, RaysEngine, RaysSettings};
 use crate::pilot::error::{mean_magnitude, relative, rms_difference, values};
@@ -81,7 +82,11 @@ impl Ladder<'_> {
             max_distance: self.job.max_distance,
             ..RaysSettings::default()
         };
-        let source = read_surfels(&baked, self.world, (1, HitLight::NEAR_RADII));
+        let source = read_surfels(
+            &baked,
+            self.world,
+            (Bounces::Count(1), HitLight::NEAR_RADII),
+        );
         let engine = RaysEngine::new(&self.world.tracer, Some(source), rays);
         let scene = GatherScene {
             shader: self.world.shader,

@@ -123,7 +123,7 @@ impl<'a> Swept<'a> {
         })
     }
 
-    /// Neighbors share most of its work: it is timed at all receivers.
+    /// Neighbors share most of its work.
     fn raster<'s>(&self) -> impl Iterator<Item = Subject<'s>>
     where
         'a: 's,
@@ -131,7 +131,7 @@ impl<'a> Swept<'a> {
         let surfels = self.surfels;
         let knobs = RASTER_KNOBS.iter().filter(|_| surfels.surfel_count() > 0);
         knobs.map(move |&knobs| Subject {
-            sees: Sees::All(None),
+            sees: Sees::Groups,
             ..each(
                 "raster",
                 paper_knobs(knobs),

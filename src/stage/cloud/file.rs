@@ -1,9 +1,11 @@
 //! One USD layer, read without composition: what a cloud is made of.
 
+use crate::stage::{Error, native};
 use glam::Vec3;
 use openusd::sdf::{AbstractData, Path, SpecType, Value};
 use openusd::{usda, usdc};
-use std::io::{BufReader, Read, Seek};
+use std::io::BufReader;
+use std::thread;
 
 /// Fields that bring in opinions from elsewhere.
 const ARCS: [&str; 5] = [
@@ -28,21 +30,52 @@ pub(in crate::stage) enum Column {
     Ints(Vec<i32>),
 }
 
+/// `work` on the layer at `path`, checked before the crate reads it, and on a thread of its own: what the crate does not
+/// survive is an error.
+///
+/// # Errors
+/// Files that cannot be read or are damaged, and what `work` says.
+pub(in crate::stage) fn on_layer<T: Send>(
+    path: &std::path::Path,
+    work: impl FnOnce(&File) -> Result<T, String> + Send,
+) -> Result<T, Error> {
+    let failed = |message: String| Error::Layer {
+        path: path.to_owned(),
+        message,
+    };
+    let unreadable = |source| Error::Unreadable {
+        path: path.to_owned(),
+        source,
+    };
+    let bytes = std::fs::read(path).map_err(unreadable)?;
+    let read = || work(&File::open(path, bytes)?);
+    let ended = thread::scope(|scope| {
+        let reader = thread::Builder::new()
+            .name(native::THREAD_NAME.to_owned())
+            .stack_size(native::STACK_BYTES);
+        reader.spawn_scoped(scope, read).map(|reader| reader.join())
+    });
+    match ended.map_err(unreadable)? {
+        Ok(result) => result.map_err(failed),
+        Err(_) => Err(failed("the reader failed: the file is damaged".to_owned())),
+    }
+}
+
 impl File {
-    /// Open binary or text by content. The error is the parser's.
-    pub(in crate::stage) fn open(mut file: std::fs::File) -> Result<Self, String> {
-        let mut start = [0_u8; 8];
-        let is_binary = file.read_exact(&mut start).is_ok() && &start == b"PXR-USDC";
-        file.rewind().map_err(|error| error.to_string())?;
-        if is_binary {
-            let data = usdc::CrateData::open(BufReader::new(file), true);
-            return Ok(Self(Box::new(data.map_err(|error| format!("{error:#}"))?)));
+    /// The layer whose file `path` has the content `bytes`, binary or text. Binary layers are read from the file piece
+    /// by piece, so that their arrays are in memory once.
+    fn open(path: &std::path::Path, bytes: Vec<u8>) -> Result<Self, String> {
+        match native::checked_layer(bytes)? {
+            Some(text) => {
+                let data = usda::parse(&text).map_err(|error| format!("{error:#}"))?;
+                Ok(Self(Box::new(data)))
+            }
+            None => {
+                let file = std::fs::File::open(path).map_err(|error| error.to_string())?;
+                let data = usdc::CrateData::open(BufReader::new(file), true);
+                Ok(Self(Box::new(data.map_err(|error| format!("{error:#}"))?)))
+            }
         }
-        let mut text = String::new();
-        file.read_to_string(&mut text)
-            .map_err(|error| format!("neither binary nor text USD: {error}"))?;
-        let data = usda::parse(&text).map_err(|error| format!("{error:#}"))?;
-        Ok(Self(Box::new(data)))
     }
 
     /// Paths of all active `Points` prims, sorted.

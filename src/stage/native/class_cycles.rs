@@ -71,11 +71,8 @@ impl ClassArcs {
         false
     }
 
-    /// Where the crate goes on from `path`: the arcs of the prim and of its parent; nowhere from a root prim.
+    /// Where the crate goes on from `path`: the arcs of the prim and of its parent.
     fn next(&self, path: &Path) -> Vec<Path> {
-        if path.is_root_prim() {
-            return Vec::new();
-        }
         let own = self.0.get(path);
         let above = path.parent().and_then(|parent| self.0.get(&parent));
         own.into_iter().chain(above).flatten().cloned().collect()
@@ -139,10 +136,16 @@ mod tests {
         assert!(judged("def \"W\" { def \"a\" (inherits = </W/a>) {} }").is_err());
     }
 
+    /// The crate cuts these by itself, but not where an arc from elsewhere leads into the circle.
+    #[test]
+    fn circles_of_root_prims_are_found() {
+        assert!(judged("def \"I\" (inherits = </J>) {} def \"J\" (inherits = </I>) {}").is_err());
+        assert!(judged("def \"I\" (specializes = </I>) {}").is_err());
+    }
+
     #[test]
     fn usual_classes_pass() {
         assert!(judged("class \"C\" { class \"D\" {} def \"x\" (inherits = </C/D>) {} }\ndef \"P\" (inherits = </C>) {}").is_ok());
-        assert!(judged("def \"I\" (inherits = </J>) {} def \"J\" (inherits = </I>) {}").is_ok());
         assert!(judged("def \"A\" (inherits = [</B>, </C>]) {} def \"B\" (inherits = </C>) {} class \"C\" {}").is_ok());
     }
 }

@@ -32,6 +32,16 @@ impl Samples<'_> {
         self.between(&sorted, time)
     }
 
+    /// The last sample up to `time`, or the first of all, with its time; `None` without samples and for a block.
+    pub(super) fn held(&self, time: f64) -> Option<(f64, Value)> {
+        let at = |(sample, _): &&(f64, sdf::Value)| *sample;
+        let earliest = self.samples.iter().min_by(|a, b| at(a).total_cmp(&at(b)))?;
+        let up_to = self.samples.iter().filter(|sample| at(sample) <= time);
+        let last = up_to.max_by(|a, b| at(a).total_cmp(&at(b)));
+        let (sample, value) = last.unwrap_or(earliest);
+        Some((*sample, self.read(value)?.0))
+    }
+
     fn between(&self, samples: &sdf::TimeSampleMap, time: f64) -> Option<Value> {
         let after = samples.partition_point(|(sample, _)| *sample <= time);
         let (before_time, before) = samples.get(after.saturating_sub(1))?;
@@ -180,6 +190,23 @@ mod tests {
                 Some(Value::Float(truth)),
                 "at {time}"
             );
+        }
+    }
+
+    #[test]
+    fn what_is_held_is_the_last_sample_so_far_or_the_first() {
+        let samples = vec![
+            (3.0, sdf::Value::Double(30.0)),
+            (1.0, sdf::Value::Double(10.0)),
+        ];
+        let samples = Samples {
+            samples: &samples,
+            type_name: "double",
+            resolve: &|_| String::new(),
+        };
+        for (time, truth) in [(0.0, 1.0), (1.0, 1.0), (2.9, 1.0), (3.0, 3.0), (9.0, 3.0)] {
+            let expected = Some((truth, Value::Float(10.0 * truth)));
+            assert_eq!(samples.held(time), expected, "at {time}");
         }
     }
 

@@ -33,7 +33,7 @@ pub const THREAD_NAME: &str = "openusd";
 
 /// Stack of the thread that holds the stage, bytes: the crate recurses with the depth of prims and arcs. It is
 /// reserved address space, touched only as far as it is used.
-const STACK_BYTES: usize = 1 << 30;
+pub(super) const STACK_BYTES: usize = 1 << 30;
 
 /// A stage opened with the `openusd` crate. It lives in a thread of its own (the crate's stage cannot be sent between
 /// threads and recurses deeply) that ends when this is dropped.
@@ -112,16 +112,17 @@ impl Source for NativeSource {
     }
 }
 
-/// Whether the crate can be trusted with the layer in `bytes`, binary or text.
+/// What the crate can be trusted with of a layer's `bytes`: its text, repaired; `None` if it is binary and sound.
 ///
 /// # Errors
 /// What is damaged.
-pub(super) fn check_layer(bytes: &[u8]) -> Result<(), String> {
+pub(super) fn checked_layer(bytes: Vec<u8>) -> Result<Option<String>, String> {
     if bytes.starts_with(layer_files::CRATE_MAGIC) {
-        return crate_check::check(bytes).map(drop);
+        return crate_check::check(&bytes).map(|_| None);
     }
-    let text = std::str::from_utf8(bytes).map_err(|_| "neither binary nor text USD".to_owned())?;
-    text::repaired(text).map(drop)
+    let text = String::from_utf8(bytes).map_err(|_| "neither binary nor text USD".to_owned())?;
+    let repaired = text::repaired(&text)?;
+    Ok(Some(repaired.unwrap_or(text)))
 }
 
 fn serve(root: &Path, orders: &Receiver<Job>) {

@@ -9,7 +9,8 @@ use super::interpolate::Samples;
 use super::layer_files::LayerFiles;
 use crate::stage::materialx;
 use crate::stage::raw::{
-    MaterialxReference, RawAttribute, RawPrim, RawRelationship, Request, Value,
+    MOVED, MOVERS, MaterialxReference, RawAttribute, RawPrim, RawRelationship, Request, Sample,
+    Value,
 };
 use openusd::pcp::{ArcType, LayerId, Node, PrimIndex};
 use openusd::sdf::{self, AbstractData, ChildrenKey, FieldKey, LayerOffset, SpecType};
@@ -240,6 +241,10 @@ impl<'a> Properties<'a> {
     ) -> Result<(), Fault> {
         let names = self.stage.prim(path.clone()).property_names();
         let names = names.map_err(|error| sites.fault(&error))?;
+        let moves = self.request.time.is_some()
+            && prim.type_name == "PointInstancer"
+            && names.iter().any(|name| MOVERS.contains(&name.as_str()));
+        let is_moved = |name: &str| moves && MOVED.contains(&name);
         let mut connected = Vec::new();
         {
             let opinions: Vec<Opinions<'_>> = sites.borrow(self.stage).collect();
@@ -257,8 +262,13 @@ impl<'a> Properties<'a> {
                         };
                         prim.relationships.insert(name.to_string(), relationship);
                     }
-                    Some(SpecType::Attribute) if self.request.wants(name.as_str()) => {
-                        let attribute = self.attribute(name.as_str(), &specs)?;
+                    Some(SpecType::Attribute)
+                        if self.request.wants(name.as_str()) || is_moved(name.as_str()) =>
+                    {
+                        let mut attribute = self.attribute(name.as_str(), &specs)?;
+                        if is_moved(name.as_str()) {
+                            attribute.held = self.held(&specs, &attribute.type_name)?;
+                        }
                         if specs.iter().any(|(o, at)| {
                             o.data().has_field(at, FieldKey::ConnectionPaths.as_str())
                         }) {
@@ -320,7 +330,7 @@ impl<'a> Properties<'a> {
 
     /// Value and `varying`. At a time the first site with samples or a default decides; without, the first default.
     fn value(&self, specs: &Specs<'_>, attribute: &mut RawAttribute) -> Result<(), Fault> {
-        let mut decided = false;
+        let (mut decided, mut is_sampled) = (false, false);
         for (opinions, at) in specs {
             let resolve = |authored: &str| self.files.resolve_value(authored, &opinions.site.layer);
             if !decided
@@ -331,6 +341,7 @@ impl<'a> Properties<'a> {
                 let samples = opinions.field(at, FieldKey::TimeSamples.as_str())?;
                 if let Some(sdf::Value::TimeSamples(samples)) = samples.as_deref() {
                     decided = true;
+                    is_sampled = !samples.is_empty();
                     attribute.varying = samples.len() > 1;
                     if let Some(time) = self.request.time {
                         let samples = Samples {
@@ -357,8 +368,36 @@ impl<'a> Properties<'a> {
                 return Ok(());
             }
         }
-        attribute.varying |= decided;
+        attribute.varying |= is_sampled;
         Ok(())
+    }
+
+    /// What the samples hold at the time; `None` where a default decides, or the default time is asked for.
+    fn held(&self, specs: &Specs<'_>, type_name: &str) -> Result<Option<Sample>, Fault> {
+        let Some(time) = self.request.time else {
+            return Ok(None);
+        };
+        for (opinions, at) in specs {
+            let resolve = |authored: &str| self.files.resolve_value(authored, &opinions.site.layer);
+            let samples = opinions.field(at, FieldKey::TimeSamples.as_str())?;
+            if let Some(sdf::Value::TimeSamples(samples)) = samples.as_deref() {
+                let samples = Samples {
+                    samples,
+                    type_name,
+                    resolve: &resolve,
+                };
+                let offset = &opinions.site.offset;
+                let held = samples.held(offset.inverse().apply(time));
+                return Ok(held.map(|(time, value)| Sample {
+                    time: offset.apply(time),
+                    value,
+                }));
+            }
+            if opinions.data().has_field(at, FieldKey::Default.as_str()) {
+                break;
+            }
+        }
+        Ok(None)
     }
 
     /// Values in reach of value clips: the crate knows them at their samples' times; between, as for any samples.
@@ -381,6 +420,7 @@ impl<'a> Properties<'a> {
         attribute: &mut RawAttribute,
     ) -> anyhow::Result<()> {
         attribute.varying = handle.value_might_be_time_varying()?;
+        attribute.held = None;
         let Some(time) = self.request.time else {
             return Ok(());
         };

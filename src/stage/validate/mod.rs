@@ -8,8 +8,8 @@ mod bake;
 mod cloud;
 mod columns;
 
-use super::cloud::file::File;
-use super::{Door, Error, UsdVerdict, native};
+use super::cloud::file::{self, File};
+use super::{Door, Error, UsdVerdict};
 use crate::diagnostics::Diagnostics;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -214,42 +214,18 @@ fn kind_of(file: &File, _: &mut Audit) -> Result<Kind, String> {
     }
 }
 
-/// `work` on the layer at `path`, on a thread of its own: what the `openusd` crate does not survive is an error.
+/// `work` on the layer at `path`; what it found is added to `audit`.
 fn on_layer<T: Send>(
     path: &Path,
     audit: &mut Audit,
     work: impl FnOnce(&File, &mut Audit) -> Result<T, String> + Send,
 ) -> Result<T, Error> {
-    let failed = |message: String| Error::Layer {
-        path: path.to_owned(),
-        message,
-    };
-    let unreadable = |source| Error::Unreadable {
-        path: path.to_owned(),
-        source,
-    };
-    let bytes = std::fs::read(path).map_err(unreadable)?;
-    native::check_layer(&bytes).map_err(failed)?;
-    drop(bytes);
-    let handle = std::fs::File::open(path).map_err(unreadable)?;
-    let read = || {
-        let file = File::open(handle)?;
+    let (value, found) = file::on_layer(path, |file| {
         let mut found = Audit::default();
-        let value = work(&file, &mut found)?;
-        Ok((value, found))
-    };
-    let ended = std::thread::scope(|scope| {
-        let thread = std::thread::Builder::new().name(native::THREAD_NAME.to_owned());
-        thread.spawn_scoped(scope, read).map(|thread| thread.join())
-    });
-    match ended.map_err(unreadable)? {
-        Ok(result) => {
-            let (value, found) = result.map_err(failed)?;
-            audit.merge(found);
-            Ok(value)
-        }
-        Err(_) => Err(failed("the reader failed: the file is damaged".to_owned())),
-    }
+        Ok((work(file, &mut found)?, found))
+    })?;
+    audit.merge(found);
+    Ok(value)
 }
 
 /// Pixar's validators on `stage`, without what they say of `asset` alone. Returns who they are.

@@ -2,9 +2,9 @@
 
 use super::super::raw::{
     MaterialxReference, RawAttribute, RawMeta, RawPrim, RawRelationship, RawStage, ReadCounts,
-    Value,
+    Sample, Value,
 };
-use bytemuck::Pod;
+use super::array_file::ArrayFile;
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -77,6 +77,7 @@ struct Attribute {
     connections: Vec<String>,
     #[serde(default)]
     varying: bool,
+    held: Option<(Number, Content)>,
 }
 
 /// A value by kind, as `worker.py` spells them.
@@ -101,10 +102,10 @@ enum Content {
 /// The files of arrays that an index points into.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Arrays<'a> {
-    /// Of this load.
-    pub(super) new: &'a [u8],
+    /// Of this load; none without arrays.
+    pub(super) new: Option<&'a ArrayFile>,
     /// Of the earlier load that read what does not vary.
-    pub(super) kept: &'a [u8],
+    pub(super) kept: Option<&'a ArrayFile>,
 }
 
 /// A float spelled out: `str::parse` rounds correctly and knows `nan` and `inf`, JSON numbers do neither.
@@ -121,12 +122,12 @@ impl TryFrom<String> for Number {
 }
 
 impl Index {
-    /// The stage, with arrays copied out of `arrays`. The error says which prim's value does not make sense.
+    /// The stage, with arrays read from `arrays`. The error says which prim's value does not make sense.
     pub(super) fn into_stage(self, root: &Path, arrays: Arrays<'_>) -> Result<RawStage, String> {
         let mut meta = self.meta.into_raw(root);
         meta.read = ReadCounts {
             attributes: self.read,
-            bytes: arrays.new.len(),
+            bytes: arrays.new.map_or(0, ArrayFile::bytes),
         };
         let prims = self
             .prims
@@ -211,6 +212,13 @@ impl Attribute {
             color_space: self.color_space,
             connections: self.connections,
             varying: self.varying,
+            held: match self.held {
+                Some((time, value)) => Some(Sample {
+                    time: time.0,
+                    value: value.into_raw(arrays)?,
+                }),
+                None => None,
+            },
         })
     }
 }
@@ -230,18 +238,12 @@ impl Content {
                 Value::Matrix(DMat4::from_cols_array(&values.map(|value| value.0)))
             }
             Self::Tokens(values) => Value::TokenArray(values),
-            Self::Array(offset, kind, rows, columns) => Slot {
-                arrays: arrays.new,
-                offset,
-                rows,
+            Self::Array(offset, kind, rows, columns) => {
+                array(arrays.new, offset, &kind, (rows, columns))?
             }
-            .read(&kind, columns)?,
-            Self::Kept(offset, kind, rows, columns) => Slot {
-                arrays: arrays.kept,
-                offset,
-                rows,
+            Self::Kept(offset, kind, rows, columns) => {
+                array(arrays.kept, offset, &kind, (rows, columns))?
             }
-            .read(&kind, columns)?,
         })
     }
 }
@@ -255,38 +257,35 @@ fn vector(values: &[Number]) -> Result<Value, String> {
     }
 }
 
-/// Where an array lies in the flat file.
-struct Slot<'a> {
-    arrays: &'a [u8],
+/// The array of `rows` × `columns` at byte `offset`.
+fn array(
+    file: Option<&ArrayFile>,
     offset: usize,
-    rows: usize,
+    kind: &str,
+    (rows, columns): (usize, usize),
+) -> Result<Value, String> {
+    Ok(match (kind, columns) {
+        ("i4", 1) => Value::IntArray(values(file, offset, rows)?),
+        ("i8", 1) => Value::Int64Array(values(file, offset, rows)?),
+        ("f4", 1) => Value::FloatArray(values(file, offset, rows)?),
+        ("f4", 2) => Value::Vec2Array(values::<Vec2>(file, offset, rows)?),
+        ("f4", 3) => Value::Vec3Array(values::<Vec3>(file, offset, rows)?),
+        ("f4", 4) => Value::Vec4Array(values::<Vec4>(file, offset, rows)?),
+        ("qf4", 4) => Value::QuatArray(values::<Vec4>(file, offset, rows)?),
+        ("f8", 16) => Value::MatrixArray(values::<DMat4>(file, offset, rows)?),
+        _ => return Err(format!("an array of {columns} × {kind}")),
+    })
 }
 
-impl Slot<'_> {
-    fn read(&self, kind: &str, columns: usize) -> Result<Value, String> {
-        Ok(match (kind, columns) {
-            ("i4", 1) => Value::IntArray(self.copy()?),
-            ("i8", 1) => Value::Int64Array(self.copy()?),
-            ("f4", 1) => Value::FloatArray(self.copy()?),
-            ("f4", 2) => Value::Vec2Array(self.copy::<Vec2>()?),
-            ("f4", 3) => Value::Vec3Array(self.copy::<Vec3>()?),
-            ("f4", 4) => Value::Vec4Array(self.copy::<Vec4>()?),
-            ("qf4", 4) => Value::QuatArray(self.copy::<Vec4>()?),
-            ("f8", 16) => Value::MatrixArray(self.copy::<DMat4>()?),
-            _ => return Err(format!("an array of {columns} × {kind}")),
-        })
-    }
-
-    fn copy<T: Pod>(&self) -> Result<Vec<T>, String> {
-        // A load without any values has no file, and what stands for it is not aligned.
-        if self.rows == 0 {
-            return Ok(Vec::new());
-        }
-        let size = self.rows.checked_mul(size_of::<T>());
-        let end = size.and_then(|size| self.offset.checked_add(size));
-        let bytes = end.and_then(|end| self.arrays.get(self.offset..end));
-        let bytes = bytes.ok_or("an array beyond the end of the worker's file")?;
-        let values = bytemuck::try_cast_slice(bytes).map_err(|error| error.to_string())?;
-        Ok(values.to_vec())
+/// A load without any values has no file.
+fn values<T: bytemuck::Pod>(
+    file: Option<&ArrayFile>,
+    offset: usize,
+    count: usize,
+) -> Result<Vec<T>, String> {
+    match file {
+        Some(file) => file.values(offset, count),
+        None if count == 0 => Ok(Vec::new()),
+        None => Err("an array without the worker's file".to_owned()),
     }
 }

@@ -4,17 +4,17 @@
 //! `worker.py` does all traversal, so that a load is one message whatever the size of the stage. What USD warns of
 //! while it composes comes back with the answer and becomes warnings of kind `usd`.
 
+mod array_file;
 mod index;
 mod interpreter;
-mod map;
 mod process;
 
 use super::composition::{self, ChoiceOutcome};
 use super::raw::{RawStage, Request};
 use super::{Composition, Error, Load, Source, UsdVerdict};
 use crate::diagnostics::Diagnostics;
+use array_file::ArrayFile;
 use index::{Arrays, Index};
-use memmap2::Mmap;
 use process::{Failure, Process};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -40,7 +40,7 @@ pub struct WorkerSource {
     /// Several loads will come that differ in time only.
     keeps: bool,
     /// Arrays of the first of them.
-    kept: Option<Mmap>,
+    kept: Option<ArrayFile>,
 }
 
 impl WorkerSource {
@@ -113,21 +113,22 @@ impl WorkerSource {
 
     fn stage_of(&mut self, index: Index) -> Result<RawStage, String> {
         let path = &index.arrays;
-        let map = match path.as_os_str().is_empty() {
+        let is_fresh = index.fresh;
+        let is_read_again = is_fresh && self.keeps;
+        let file = match path.as_os_str().is_empty() {
             true => None,
             false => Some(
-                map::map_and_remove(path)
-                    .map_err(|error| format!("cannot map {}: {error}", path.display()))?,
+                ArrayFile::open_and_remove(path, is_read_again)
+                    .map_err(|error| format!("cannot open {}: {error}", path.display()))?,
             ),
         };
-        let is_fresh = index.fresh;
         let arrays = Arrays {
-            new: map.as_deref().unwrap_or_default(),
-            kept: self.kept.as_deref().unwrap_or_default(),
+            new: file.as_ref(),
+            kept: self.kept.as_ref(),
         };
         let stage = index.into_stage(&self.path, arrays)?;
         if is_fresh {
-            self.kept = map.filter(|_| self.keeps);
+            self.kept = file.filter(|_| self.keeps);
         }
         Ok(stage)
     }
@@ -247,7 +248,7 @@ fn check_readable(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// Memory-backed where the system has it (arrays are mapped without touching a disk), then the temporary folder.
+/// Memory-backed where the system has it (arrays never touch a disk), then the temporary folder.
 fn scratch_folders() -> std::io::Result<Vec<TempDir>> {
     let new = |parent: &Path| {
         tempfile::Builder::new()

@@ -79,27 +79,45 @@ class Arrays:
         return offset
 
     def write(self, folders):
-        """Path of the file that holds them, in the first of `folders` with room; "" when there is nothing to hold."""
+        """Path of the file that holds them, in the first of `folders` with room; "" when there is nothing to hold.
+
+        Each array is let go once it is written, so that there are no two copies of all of them.
+        """
         if self.size == 0:
             return ""
-        problem = None
+        partial = problem = None
         for folder in folders:
             handle, path = tempfile.mkstemp(dir=folder)
-            with os.fdopen(handle, "wb") as file:
-                try:
-                    if hasattr(os, "fstatvfs"):
-                        room = os.fstatvfs(file.fileno())
-                        if room.f_bavail * room.f_frsize < self.size:
-                            raise OSError("%d bytes do not fit into %s" % (self.size, folder))
-                    for offset, array in self.items:
-                        if array.nbytes:
-                            file.seek(offset)
-                            file.write(array.reshape(-1).view(numpy.uint8).data)
-                    return path
-                except OSError as error:
-                    problem = error
-            os.remove(path)
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    self.write_to(file, folder, partial)
+                if partial:
+                    os.remove(partial)
+                return path
+            except OSError as error:
+                problem = error
+                if partial:
+                    os.remove(path)
+                else:
+                    partial = path  # what was let go is there alone
+        os.remove(partial)
         raise problem
+
+    def write_to(self, file, folder, partial):
+        if hasattr(os, "fstatvfs"):
+            room = os.fstatvfs(file.fileno())
+            if room.f_bavail * room.f_frsize < self.size:
+                raise OSError("%d bytes do not fit into %s" % (self.size, folder))
+        if partial:
+            with open(partial, "rb") as written:
+                shutil.copyfileobj(written, file, 1 << 20)
+        while self.items:
+            offset, array = self.items[-1]
+            if array.nbytes:
+                file.seek(offset)
+                file.write(array.reshape(-1).view(numpy.uint8).data)
+            file.flush()
+            self.items.pop()
 
 
 def scalar_value(value):
@@ -193,6 +211,11 @@ def matcher(patterns):
     return lambda name: name in exact or name.startswith(starts)
 
 
+# What moves the points of a PointInstancer between samples, if it has one of the movers.
+MOVED = ("positions", "velocities", "accelerations", "orientations", "orientationsf", "angularVelocities", "scales")
+MOVERS = ("velocities", "angularVelocities")
+
+
 class Loader:
     """One load: walks a stage and fills the index and the arrays."""
 
@@ -235,9 +258,9 @@ class Loader:
         if not self.is_settled:
             for prim in self.prims:
                 for entry in prim.get("attributes", {}).values():
-                    value = entry.get("value")
-                    if value and "array" in value:
-                        value["kept"] = value.pop("array")
+                    for value in (entry.get("value"), entry.get("held", [None, None])[1]):
+                        if value and "array" in value:
+                            value["kept"] = value.pop("array")
             self.is_settled = True
         self.time = Usd.TimeCode(time)
         self.arrays = Arrays()
@@ -248,6 +271,8 @@ class Loader:
                 entry.pop("value", None)
             else:
                 entry["value"] = value
+            if "held" in entry:
+                entry["held"] = self.held(attribute)
 
     def walk_range(self, prim_range):
         parents = []  # indices of the ancestors of the prim at hand
@@ -283,12 +308,13 @@ class Loader:
         if inactive:
             entry["inactive_ids"] = list(inactive.GetAddedOrExplicitItems())
         attributes, relationships, unread = {}, {}, []
+        moved = MOVED if self.moves(prim) else ()
         for item in prim.GetAuthoredProperties():
             name = item.GetName()
             if isinstance(item, Usd.Relationship):
                 relationships[name] = self.relationship_entry(item, name)
-            elif self.wants(name) or self.name_only(name):
-                attributes[name] = self.attribute_entry(item, name)
+            elif self.wants(name) or self.name_only(name) or name in moved:
+                attributes[name] = self.attribute_entry(item, name, name in moved)
             else:
                 unread.append(name)
         for key, value in (("attributes", attributes), ("relationships", relationships), ("unread", unread)):
@@ -328,7 +354,22 @@ class Loader:
         strength = relationship.GetMetadata("bindMaterialAs") if name.startswith("material:binding") else None
         return [targets, str(strength) if strength else None]
 
-    def attribute_entry(self, attribute, name):
+    def moves(self, prim):
+        """True for an instancer with velocities, asked for at a time."""
+        if self.time.IsDefault() or prim.GetTypeName() != "PointInstancer":
+            return False
+        return any(prim.GetAttribute(name).HasAuthoredValue() for name in MOVERS)
+
+    def held(self, attribute):
+        """Time and value of the last sample up to the time, or of the first of all; None without samples."""
+        bracket = attribute.GetBracketingTimeSamples(self.time.GetValue())
+        value = attribute.Get(bracket[0]) if bracket else None
+        if value is None:
+            return None
+        self.values += 1
+        return [number(bracket[0]), array_value(value, self.arrays)]
+
+    def attribute_entry(self, attribute, name, is_moved):
         type_name = attribute.GetTypeName()
         entry = {"type": str(type_name)}
         if attribute.HasAuthoredConnections():
@@ -343,7 +384,11 @@ class Loader:
                 entry["element_size"] = attribute.GetMetadata("elementSize")
         if attribute.HasColorSpace():
             entry["color_space"] = str(attribute.GetColorSpace())
-        if self.wants(name) and not self.name_only(name):
+        if is_moved:
+            held = self.held(attribute)
+            if held:
+                entry["held"] = held
+        if (self.wants(name) or is_moved) and not self.name_only(name):
             value = self.value(attribute, type_name.isArray)
             if value is not None:
                 entry["value"] = value

@@ -292,25 +292,56 @@ def Mesh \"m\" {{
     equal(&text, None, 1);
 }
 
+/// Samples at the same times move the points; others, or too many or too few, do not.
 #[test]
-fn velocities_between_samples_are_named() {
-    let text = format!(
-        "( timeCodesPerSecond = 24 )
-def PointInstancer \"i\" {{
+fn velocities_move_points_between_samples_as_usd_core_does() {
+    let instancer = |name: &str, more: &str| {
+        format!(
+            "def PointInstancer \"{name}\" {{
     int[] protoIndices = [0, 0]
-    point3f[] positions.timeSamples = {{ 1: [(0, 0, 0), (5, 0, 0)], 2: [(1, 0, 0), (5, 1, 0)]
+    point3f[] positions.timeSamples = {{ 1: [(0, 0, 0), (5, 0, 0)], 3: [(1, 0, 0), (5, 1, 0)]
     }}
-    vector3f[] velocities.timeSamples = {{ 1: [(48, 0, 0), (0, 0, 0)], 2: [(24, 0, 0), (0, 24, 0)]
+    quath[] orientations.timeSamples = {{ 1: [(1, 0, 0, 0), (0.5, 0.5, 0.5, 0.5)], 3: [(0, 1, 0, 0), (0.5, 0.5, 0.5, 0.25)]
     }}
-    rel prototypes = </i/p>
+    float3[] scales.timeSamples = {{ 0: [(1, 1, 1), (1, 2, 3)], 2: [(2, 2, 2), (3, 2, 1)]
+    }}
+    {more}
+    rel prototypes = </{name}/p>
     def Xform \"p\" {{ {} }}
-}}",
-        mesh("m", 1.0)
-    );
-    for time in [1.0, 2.0] {
-        equal(&text, Some(time), 2);
-    }
-    for outcome in outcomes(&[("root.usda", &text)], Some(1.5)) {
-        assert_eq!(outcome, Outcome::Unsupported(vec!["velocities".to_owned()]));
+}}\n",
+            mesh("m", 1.0)
+        )
+    };
+    let samples = |name: &str, times: [f64; 2]| {
+        let [first, last] = times;
+        format!(
+            "vector3f[] {name}.timeSamples = {{ {first}: [(48, 0, 0), (0, 0, 96)], {last}: [(24, 0, 7), (0, 24, 0)]
+    }}\n"
+        )
+    };
+    let velocities = samples("velocities", [1.0, 3.0]);
+    let accelerations = samples("accelerations", [1.0, 3.0]);
+    let spins = samples("angularVelocities", [1.0, 3.0]);
+    let late = samples("velocities", [1.5, 3.0]);
+    let text = [
+        "( timeCodesPerSecond = 25 )\n".to_owned(),
+        instancer("plain", ""),
+        instancer("moving", &velocities),
+        instancer(
+            "accelerated",
+            &(velocities.clone() + &accelerations + &spins),
+        ),
+        instancer("late", &late),
+        instancer("turning", &spins),
+        instancer("steady", "vector3f[] velocities = [(1, 2, 3), (4, 5, 6)]"),
+        instancer(
+            "fewer",
+            "vector3f[] velocities.timeSamples = { 1: [(1, 2, 3)], 3: [(4, 5, 6)]
+    }",
+        ),
+    ]
+    .concat();
+    for time in [0.0, 1.0, 1.5, 2.75, 4.0] {
+        equal(&text, Some(time), 14);
     }
 }

@@ -5,12 +5,13 @@
 //! ancestors say of transform, visibility or purpose does not reach the points; the instancer's does.
 
 use super::super::super::ReadSettings;
-use super::super::super::raw::{RawPrim, RawStage};
+use super::super::super::raw::{RawAttribute, RawPrim, RawStage};
+use super::super::DEFAULT_TIME_CODES_PER_SECOND;
 use super::super::flatten::{Occurrence, authored_purpose, is_invisible};
 use super::super::xform;
 use super::draw_modes;
 use super::gprims;
-use super::instancer::{self, Point};
+use super::instancer::{self, Moment, Point};
 use crate::diagnostics::Diagnostics;
 use crate::scene::{PrimSource, Purpose};
 use glam::DMat4;
@@ -231,13 +232,14 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Between samples usd-core moves points by their velocities. At whole frames, where samples are, it is the same.
+    /// The native door does not tell the samples of value clips apart. At whole frames, where samples are, nothing moves.
     fn warn_of_velocities(&self, instancer: usize) {
         let prim = self.prim(instancer);
         let moves = |positions: &str, velocities: &str| {
             let attribute = prim.attributes.get(positions);
-            let has_velocities = prim.unread.iter().any(|name| name == velocities);
-            has_velocities && attribute.is_some_and(|attribute| attribute.varying)
+            let has_velocities = prim.attributes.contains_key(velocities);
+            let is_interpolated = |of: &RawAttribute| of.varying && of.held.is_none();
+            has_velocities && attribute.is_some_and(is_interpolated)
         };
         let is_between = self.settings.time.is_some_and(|time| time.fract() != 0.0);
         let moves = moves("positions", "velocities") || moves("orientations", "angularVelocities");
@@ -245,7 +247,7 @@ impl<'a> Walk<'a> {
             self.warn(
                 "velocities",
                 instancer,
-                "velocities are not applied: between samples its points are interpolated",
+                "velocities in value clips are not applied: between samples its points are interpolated",
             );
         }
     }
@@ -387,7 +389,14 @@ impl<'a> Walk<'a> {
 
     /// The instancer's visible points that have a prototype; none, with a warning, when its arrays disagree.
     fn points(&self, instancer: usize, prototype_count: usize) -> Vec<Point> {
-        match instancer::points(self.prim(instancer), prototype_count) {
+        let rate = self.raw.meta.time_codes_per_second;
+        let moment = Moment {
+            time: self.settings.time,
+            time_codes_per_second: rate
+                .filter(|rate| *rate > 0.0)
+                .unwrap_or(DEFAULT_TIME_CODES_PER_SECOND),
+        };
+        match instancer::points(self.prim(instancer), prototype_count, moment) {
             Ok((points, 0)) => points,
             Ok((points, without)) => {
                 self.warn(
