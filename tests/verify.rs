@@ -109,6 +109,34 @@ fn a_small_scene_gives_sane_numbers_and_a_page_that_stands_alone() {
     );
 }
 
+#[test]
+fn only_what_is_asked_for_is_measured() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let stage = folder.path().join("stage.usda");
+    fs::write(&stage, STAGE).expect("writable");
+    let verify = |flags: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_surflux"));
+        command.arg("verify").arg(&stage).args(flags.split(' '));
+        command.output().expect("the program starts")
+    };
+    let flags = "--json --usd native --receivers 32 --truth-rays 512 --surfels 3000";
+    let output = verify(&format!(
+        "{flags} --aov visibility --sets points --only-auto"
+    ));
+    let report: Value = serde_json::from_slice(&output.stdout).expect("stdout is JSON");
+    let rows = report["rows"].as_array().expect("rows");
+    assert_eq!(rows.len(), 3, "one a tolerance: {report}");
+    for row in rows {
+        assert_eq!(
+            (&row["aov"], &row["set"]),
+            (&"visibility".into(), &"points".into())
+        );
+        assert!(!row["auto"].is_null());
+    }
+    assert_eq!(verify("--aov bent_normal").status.code(), Some(2));
+    assert_eq!(verify("--sets vertices").status.code(), Some(2));
+}
+
 fn fields(report: &Value) {
     for key in [
         "surflux", "command", "stage", "usd", "machine", "truth", "rows", "warnings",

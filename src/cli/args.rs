@@ -307,6 +307,16 @@ pub(super) struct VerifyArgs {
     /// Receivers of each set.
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=65_536))]
     pub(super) receivers: u32,
+    /// AOVs to measure, of `visibility`, `irradiance_indirect` and `irradiance_environment`, comma separated. Default: all
+    /// that the stage has light for.
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    pub(super) aov: Vec<String>,
+    /// Sets of receivers, comma separated. Default: all.
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = ["points", "pixels", "surfels"])]
+    pub(super) sets: Vec<String>,
+    /// Measure what `--tolerance` picks and nothing else.
+    #[arg(long)]
+    pub(super) only_auto: bool,
     /// Rays of each of the truth's two halves.
     #[arg(long, value_name = "N", default_value_t = 8192, value_parser = clap::value_parser!(u32).range(256..=1_048_576))]
     pub(super) truth_rays: u32,

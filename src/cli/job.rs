@@ -296,11 +296,22 @@ fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob
 }
 
 fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob> {
+    let aovs = aovs(&args.aov)?;
+    let measured = [
+        Aov::Visibility,
+        Aov::IrradianceIndirect,
+        Aov::IrradianceEnvironment,
+    ];
+    if let Some(aov) = aovs.iter().find(|aov| !measured.contains(aov)) {
+        bail!(
+            "--aov {aov}: verify measures visibility, irradiance_indirect and irradiance_environment"
+        );
+    }
     Ok(VerifyJob {
         stage: stage(args.stage, command_line)?,
         output: output(args.output, &["html"])?,
         gather: GatherJob {
-            aovs: Vec::new(),
+            aovs,
             bounces: Bounces::Count(args.bounces),
             engine: EngineChoice::Auto,
             tolerance: None,
@@ -317,6 +328,8 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
         camera: args.camera,
         receivers: args.receivers as usize,
         truth_rays: args.truth_rays,
+        sets: args.sets,
+        only_auto: args.only_auto,
     })
 }
 

@@ -244,7 +244,7 @@ pub struct VerifyJob {
     pub stage: StageJob,
     /// The page, if one is wanted.
     pub output: OutputJob,
-    /// Dicing, distances and bounces; engines and AOVs are all of them.
+    /// Dicing, distances and bounces; AOVs (none: all that engines differ in); engines are all of them.
     pub gather: GatherJob,
     /// Path or name of the camera of the third set of receivers.
     pub camera: Option<String>,
@@ -252,6 +252,10 @@ pub struct VerifyJob {
     pub receivers: usize,
     /// Rays of each half of the truth.
     pub truth_rays: u32,
+    /// Names of the sets: `points`, `pixels`, `surfels`; empty = all there are.
+    pub sets: Vec<String>,
+    /// Only what `--tolerance` picks, no sweep of engines and no pictures.
+    pub only_auto: bool,
 }
 
 /// Anything surflux does.

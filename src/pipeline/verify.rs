@@ -110,8 +110,16 @@ fn sweep(
     if let Light::Baked(baked) = &lit.light {
         populations.push(("surfels", receivers::surfel::place(&baked.cloud)));
     }
+    let is_wanted = |name: &str| job.sets.is_empty() || job.sets.iter().any(|set| set == name);
+    populations.retain(|(name, _)| is_wanted(name));
+    if populations.is_empty() {
+        return Err(Error::NothingToBake {
+            path: world.scene().stage.path.clone(),
+        });
+    }
     let mut found = empty(job, world, lit.light.len());
-    let asked = asked(world);
+    let mut asked = asked(world);
+    asked.retain(|aov| job.gather.aovs.is_empty() || job.gather.aovs.contains(aov));
     let arena = Arena {
         world,
         job,
@@ -258,7 +266,7 @@ impl Arena<'_> {
         let (summary, rows) = measure(&question, &set, diagnostics)?;
         found.truth.push(summary);
         found.rows.extend(rows);
-        if name == "pixels" {
+        if name == "pixels" && !self.job.only_auto {
             let seen = pixels(self.world, self.job, PICTURE_WIDTH)?;
             let half = |turn: f32| {
                 let settings = RaysSettings {
@@ -333,7 +341,11 @@ impl Arena<'_> {
             },
             // Turns that neither the run's pattern (0) nor the pilot's (multiples of 1/√2) have.
             truth: [half(0.3), half(0.58)],
-            subjects: swept.subjects(aov, stand, diagnostics),
+            subjects: if self.job.only_auto {
+                Vec::new()
+            } else {
+                swept.subjects(aov, stand, diagnostics)
+            },
         }
     }
 }
