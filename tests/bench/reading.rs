@@ -4,10 +4,11 @@
 //! Every number is of a process of its own, from its start, so that imports and workers are in it: processor time (user
 //! and system, the worker's too) and the largest memory in use. Rivals take turns; medians of the rounds.
 //!
-//! On two busy cores, dev profile (opt-level 2): of 10 M points natively 0.67 and through the worker 0.81 of usd-core's 1.2 s,
-//! with 2.15 and 1.02 times the arrays in memory; of 4000 layers 1.3 to 1.7 times its open and walk; 100 000 points of an
-//! instancer in 0.1 s and 0.47 s (0.43 s of them imports). 100 000 native instances, each a prim, take the worker 18 s
-//! where usd-core's open and walk take 3, and the native door more than 100: that is open.
+//! On two busy cores, dev profile (opt-level 2), means of two rounds: of 10 M points natively 0.67 and through the worker
+//! 0.81 of usd-core's 1.2 s, with 2.15 and 1.02 times the arrays in memory (the worker's own process: 1.41); of 4000 layers
+//! 1.3 and 1.7 times its open and walk; 100 000 points of an instancer in 0.1 s and 0.47 s. 100 000 native instances, each
+//! a prim, took the worker 18 s once and more than 100 s once, where usd-core's open and walk take 3, and the native door
+//! more than 100: that is open.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measured")]
 
