@@ -327,10 +327,10 @@ impl<'a> Witness<'a> {
         self.carriers.iter().position(is_told)
     }
 
-    /// Rays that bring the noise of `sets`, two or more of which are looked at, down to what the tolerance leaves for them;
+    /// Rays that bring the noise of `sets`, the first two of which are looked at, down to what the tolerance leaves for them;
     /// in the hits of `relit_share` light is found anew.
     fn rays_needed(&self, sets: &[Values], relit_share: f64) -> f64 {
-        let ([a, b] | [a, b, ..]) = sets else {
+        let [a, b, ..] = sets else {
             return FEWEST_RAYS;
         };
         let allowed = RAYS_SHARE * self.ladder.tolerance;
