@@ -22,7 +22,7 @@ use crate::lighting::{LightSamples, Lighting};
 use crate::octree::Octree;
 use crate::pilot::Method;
 use crate::receivers::Receivers;
-use crate::results::{Aov, AovBuffer, Results};
+use crate::results::{Aov, Results};
 use crate::stage::cloud;
 use crate::surfels::SurfelCloud;
 use std::cell::OnceCell;
@@ -142,9 +142,7 @@ pub(super) fn gather(
         let found = gather_group(world, (receivers, *cone), group, job, run)?;
         all.buffers.extend(found.buffers);
     }
-    let place = |buffer: &AovBuffer| aovs.iter().position(|&aov| aov == buffer.aov);
-    all.buffers.sort_by_key(place);
-    Ok(all)
+    Ok(all.in_order_of(aovs))
 }
 
 /// Compute `aovs`, which all ask about the same cone of directions.

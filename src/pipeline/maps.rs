@@ -204,9 +204,7 @@ impl Method for MapsMethod<'_> {
             found.buffers.extend(seen.buffers);
         }
         found.buffers.retain(|buffer| aovs.contains(&buffer.aov));
-        let place = |buffer: &AovBuffer| aovs.iter().position(|&aov| aov == buffer.aov);
-        found.buffers.sort_by_key(place);
-        Ok(found)
+        Ok(found.in_order_of(aovs))
     }
 }
 

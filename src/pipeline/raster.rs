@@ -7,7 +7,7 @@ use crate::gather::{self, GatherScene, RasterEngine, RasterSettings, RaysEngine}
 use crate::lighting::Lighting;
 use crate::pilot::Method;
 use crate::receivers::Receivers;
-use crate::results::{Aov, AovBuffer, Results};
+use crate::results::{Aov, Results};
 
 /// Settings that a sweep shows, cheap ones first: solid angle and resolution.
 pub(super) const RASTER_KNOBS: [(f32, u32); 5] =
@@ -100,8 +100,6 @@ impl Method for RasterMethod<'_> {
             let open = gather::gather(scene, &self.others, receivers, &by_rays, diagnostics)?;
             found.buffers.extend(open.buffers);
         }
-        let place = |buffer: &AovBuffer| aovs.iter().position(|&aov| aov == buffer.aov);
-        found.buffers.sort_by_key(place);
-        Ok(found)
+        Ok(found.in_order_of(aovs))
     }
 }

@@ -29,6 +29,14 @@ impl Results {
     pub fn get(&self, aov: Aov) -> Option<&AovBuffer> {
         self.buffers.iter().find(|buffer| buffer.aov == aov)
     }
+
+    /// The same buffers in the order of `aovs`.
+    #[must_use]
+    pub fn in_order_of(mut self, aovs: &[Aov]) -> Self {
+        let place = |buffer: &AovBuffer| aovs.iter().position(|&aov| aov == buffer.aov);
+        self.buffers.sort_by_key(place);
+        self
+    }
 }
 
 /// Interpolation of a baked primvar on the authored mesh.

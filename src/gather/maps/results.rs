@@ -56,9 +56,7 @@ pub fn gather(
         )?;
         found.buffers.append(&mut results.buffers);
     }
-    let place = |buffer: &AovBuffer| aovs.iter().position(|&aov| aov == buffer.aov);
-    found.buffers.sort_by_key(place);
-    Ok(found)
+    Ok(found.in_order_of(aovs))
 }
 
 /// Another engine: values of some receivers.
