@@ -6,6 +6,7 @@
 
 use crate::bake::Baked;
 use crate::diagnostics::{Cancelled, Diagnostics, Phase};
+use crate::gather::radiance::surfel_of;
 use crate::gather::{self, Engine, EngineFactory, Hemisphere, quantities::irradiance};
 use crate::receivers::{Receivers, surfel};
 use crate::surfels::SurfelCloud;
@@ -39,9 +40,7 @@ impl CoarseCloud<'_> {
         let above = self.tracer.lift(position, normal);
         let reach = above.distance(position) + fine.radius[i];
         let hit = self.tracer.closest(above, -normal, reach)?;
-        self.baked
-            .dice
-            .surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front)
+        surfel_of(&self.baked.dice, &hit)
     }
 }
 

@@ -8,7 +8,7 @@
 //! A hit looks along one ray a light and a few to the sky, other ones for every hit, so that many of them agree with the
 //! truth in the mean.
 
-use super::radiance::Outgoing;
+use super::radiance::{Outgoing, surfel_of};
 use crate::lighting::{Lighting, ShadePoint};
 use crate::scene::PlacedMesh;
 use crate::shading::{Shader, Surface, SurfacePoint};
@@ -66,8 +66,7 @@ impl<'a> HitLight<'a> {
 
     /// True if the side that `hit` met has surfels.
     pub(super) fn reflects(&self, hit: &Hit) -> bool {
-        let surfel = (self.dice).surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
-        surfel.is_some()
+        surfel_of(self.dice, hit).is_some()
     }
 
     /// Radiance from `hit`; black on a side without surfels.

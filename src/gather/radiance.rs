@@ -88,6 +88,11 @@ pub enum RadianceSource<'a> {
     Loaded(Vec<LoadedCloud<'a>>),
 }
 
+/// The surfel on the side that `hit` met; `None` where that side has none.
+pub(crate) fn surfel_of(dice: &DiceMap, hit: &Hit) -> Option<u32> {
+    dice.surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front)
+}
+
 /// Rays a receiver that [`RadianceSource::relit_share`] looks along.
 const SHARE_RAYS: u32 = 32;
 
@@ -114,7 +119,7 @@ impl RadianceSource<'_> {
     fn is_relit(&self, hit: &Hit) -> bool {
         match self {
             Self::Baked { cloud, dice, near } => {
-                let found = dice.surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+                let found = surfel_of(dice, hit);
                 found
                     .zip(*near)
                     .is_some_and(|(i, hits)| hits.is_near(hit, cloud.radius[i as usize]))
@@ -128,7 +133,7 @@ impl RadianceSource<'_> {
     pub fn radiance(&self, hit: &Hit, origin: Vec3, direction: Vec3) -> Outgoing {
         match self {
             Self::Baked { cloud, dice, near } => {
-                let found = dice.surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+                let found = surfel_of(dice, hit);
                 let Some(i) = found else {
                     return Outgoing::BLACK;
                 };
@@ -142,7 +147,7 @@ impl RadianceSource<'_> {
             }
             Self::AtHits(light) => light.radiance(hit),
             Self::ErrorOf { cloud, dice, anew } => {
-                let found = dice.surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+                let found = surfel_of(dice, hit);
                 match found.filter(|&i| !anew.is_near(hit, cloud.radius[i as usize])) {
                     Some(i) => Outgoing::of_surfel(cloud, i).less(anew.radiance(hit)),
                     None => Outgoing::BLACK,

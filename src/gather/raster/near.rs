@@ -6,6 +6,7 @@
 
 use super::RasterEngine;
 use super::group::{CORE, Group};
+use crate::gather::radiance::surfel_of;
 use crate::math::bits::bits_of;
 use crate::math::sequence;
 use glam::{Mat3, Vec3};
@@ -66,7 +67,7 @@ pub(super) fn irradiance(
         (engine.tracer).closest_along(direction, starts, (reach, asking), &mut hits);
         for i in bits_of(asking) {
             let Some(hit) = hits[i] else { continue };
-            let id = (engine.dice).surfel_at(hit.prim.0, hit.triangle, hit.u, hit.v, hit.front);
+            let id = surfel_of(engine.dice, &hit);
             let Some(place) = id.map(|id| engine.place[id as usize]) else {
                 continue;
             };
