@@ -25,25 +25,37 @@ pub(super) fn read(
     up_axis: UpAxis,
     diagnostics: &Diagnostics,
 ) -> Vec<Light> {
-    let occurrences = paths.occurrences().iter().enumerate();
-    occurrences
-        .filter(|(_, occurrence)| is_shown(occurrence))
-        .filter_map(|(index, occurrence)| {
-            let reader = Reader {
-                prim: paths.prim_of(index),
-                path: &occurrence.path,
-                up_axis,
-                diagnostics,
-            };
+    readers(paths, is_shown, up_axis, diagnostics)
+        .filter_map(|(index, reader)| {
             let kind = reader.kind()?;
             if below_instancer(paths, index) {
                 reader
                     .warn("it is below a PointInstancer: lights are not instanced, it is left out");
                 return None;
             }
-            reader.light(kind, occurrence.world_from_local, origin)
+            reader.light(kind, paths.occurrences()[index].world_from_local, origin)
         })
         .collect()
+}
+
+/// A reader for each of the occurrences that `is_shown`, and which it is.
+fn readers<'a>(
+    paths: &'a Paths<'_>,
+    is_shown: impl Fn(&Occurrence) -> bool,
+    up_axis: UpAxis,
+    diagnostics: &'a Diagnostics,
+) -> impl Iterator<Item = (usize, Reader<'a>)> {
+    let occurrences = paths.occurrences().iter().enumerate();
+    let shown = occurrences.filter(move |(_, occurrence)| is_shown(occurrence));
+    shown.map(move |(index, occurrence)| {
+        let reader = Reader {
+            prim: paths.prim_of(index),
+            path: &occurrence.path,
+            up_axis,
+            diagnostics,
+        };
+        (index, reader)
+    })
 }
 
 /// All meshes of `occurrences` that `is_shown` and are lights by `MeshLightAPI`.
@@ -52,16 +64,9 @@ pub(super) fn read_meshes(
     is_shown: impl Fn(&Occurrence) -> bool,
     diagnostics: &Diagnostics,
 ) -> Vec<MeshLight> {
-    let occurrences = paths.occurrences().iter().enumerate();
-    occurrences
-        .filter(|(_, occurrence)| is_shown(occurrence))
-        .filter_map(|(index, occurrence)| {
-            let reader = Reader {
-                prim: paths.prim_of(index),
-                path: &occurrence.path,
-                up_axis: UpAxis::Y,
-                diagnostics,
-            };
+    // Which way is up matters to domes alone.
+    readers(paths, is_shown, UpAxis::Y, diagnostics)
+        .filter_map(|(index, reader)| {
             if !reader.is_mesh_light() {
                 return None;
             }
