@@ -7,6 +7,7 @@
 use super::Receivers;
 use super::lens::{Frame, Lens};
 use super::sampling::{Sampling, place_of_sample};
+use crate::math::Bounds3;
 use crate::results::{PixelShare, Target};
 use crate::scene::camera::Projection;
 use crate::scene::{Camera, MaterialId, PlacedMesh, Scene, on_the_side_of};
@@ -256,7 +257,7 @@ impl<'a> View<'a> {
         let (direction, scale) = (ray.direction, ray.scale);
         let hit = (self.cast)(ray.origin, direction, ray.length)?;
         let along = f64::from(hit.distance) / scale * ray.axial;
-        let depth = self.lens.near() + along;
+        let depth = self.lens.near_distance() + along;
         let world = PlacedMesh::of(self.scene, hit.prim);
         let t = hit.triangle;
         let side = if hit.front { 1.0 } else { -1.0 };
@@ -349,13 +350,22 @@ const MARGIN: f64 = 1.05;
 /// A camera that shows the whole scene in three-quarter view from above, for stages without one. Of an empty scene
 /// it shows the unit box. It stands outside of everything: of a closed room it shows the walls.
 pub fn framing_camera(scene: &Scene) -> Camera {
-    let bounds = scene.bounds();
+    camera_around(
+        scene.bounds(),
+        scene.origin,
+        scene.stage.up_axis.direction(),
+    )
+}
+
+/// A camera that sees all of `bounds` (relative to `origin`), from the front and a little above of what stands along
+/// `up` (+Y or +Z); path empty.
+pub fn camera_around(bounds: Bounds3, origin: DVec3, up: Vec3) -> Camera {
     let (low, high) = if bounds.is_empty() {
         (DVec3::splat(-0.5), DVec3::splat(0.5))
     } else {
         (bounds.min.as_dvec3(), bounds.max.as_dvec3())
     };
-    let up = scene.stage.up_axis.direction().as_dvec3();
+    let up = up.as_dvec3();
     let front = if up == DVec3::Y {
         DVec3::Z
     } else {
@@ -397,7 +407,7 @@ pub fn framing_camera(scene: &Scene) -> Camera {
     let distance = (corners.map(fit).fold(0.0, f64::max) * MARGIN).max(reach * MARGIN);
     let distance = if distance > 0.0 { distance } else { 1.0 };
     camera.world_from_camera =
-        DAffine3::from_mat3_translation(axes, scene.origin + center + back * distance);
+        DAffine3::from_mat3_translation(axes, origin + center + back * distance);
     // Nothing is clipped that the bounds contain.
     camera.clipping_range = (
         0.5 * (distance - reach).max(0.0),

@@ -182,6 +182,11 @@ impl Lens {
         }
     }
 
+    /// Distance of the near clipping plane, stage units.
+    pub fn near_distance(&self) -> f64 {
+        self.near
+    }
+
     /// Ray through image point `(x, y)` in pixels from the upper left corner (pixel centers at halves).
     pub(super) fn ray(&self, x: f64, y: f64) -> CameraRay {
         let across = x / f64::from(self.frame.width.max(1));
@@ -203,11 +208,6 @@ impl Lens {
                 length: self.far - self.near,
             },
         }
-    }
-
-    /// Distance of the near clipping plane.
-    pub(super) fn near(&self) -> f64 {
-        self.near
     }
 }
 

@@ -14,16 +14,65 @@
 
 pub(super) mod file;
 mod placement;
+mod points;
+mod splats;
+
+pub use points::read_points;
 
 use super::Error;
 use crate::diagnostics::Diagnostics;
+use crate::scene::StageInfo;
 use crate::surfels::SurfelCloud;
+use crate::surfels::points::PointSet;
+use crate::surfels::splats::Splats;
 use file::{Column, File};
 use glam::{DVec3, Vec3};
 use openusd::sdf::{Path as SdfPath, Value};
 use placement::Placement;
 use std::f32::consts::PI;
 use std::path::Path;
+
+/// What a layer holds that can be read without composing.
+#[derive(Debug)]
+pub enum Found {
+    /// Points, and what the layer says of itself.
+    Points(PointSet, StageInfo),
+    /// Gaussian splats, and the same.
+    Splats(Splats, StageInfo),
+    /// It composes others, has neither, or only a door to USD can read it.
+    Neither,
+}
+
+/// Read the points or splats of the layer at `path`, if it holds some and nothing that would have to be composed.
+///
+/// # Errors
+/// Points and splats that contradict themselves; layers that cannot be read at all are [`Found::Neither`].
+pub fn find(path: &Path, diagnostics: &Diagnostics) -> Result<Found, Error> {
+    let read = |file: &File| -> Result<Found, String> {
+        if file.composes().is_some() {
+            return Ok(Found::Neither);
+        }
+        if let Some((splats, about)) = splats::read(file, diagnostics)? {
+            return Ok(Found::Splats(splats, about));
+        }
+        if file.points().is_empty() {
+            return Ok(Found::Neither);
+        }
+        points::points(file, diagnostics).map(|(set, about)| Found::Points(set, about))
+    };
+    let found = match file::on_layer(path, |file| Ok(read(file))) {
+        Err(_) => return Ok(Found::Neither),
+        Ok(found) => found,
+    };
+    let mut found = found.map_err(|message| Error::Layer {
+        path: path.to_owned(),
+        message,
+    })?;
+    if let Found::Points(_, about) | Found::Splats(_, about) = &mut found {
+        path.clone_into(&mut about.path);
+    }
+    Ok(found)
+}
 
 /// Read every `Points` prim of the USD file at `path` as one cloud, positions relative to `origin`.
 ///

@@ -160,6 +160,8 @@ pub struct ReadSettings {
     pub materials: bool,
     /// Lights.
     pub lights: bool,
+    /// Every primvar of meshes that is one of numbers, not only those that materials read.
+    pub all_primvars: bool,
     /// Longest edge a refined subdivision face should have, stage units; `None` = chosen from the scene's size.
     pub refine_edge: Option<f32>,
 }
@@ -173,6 +175,7 @@ impl Default for ReadSettings {
             composition: Composition::default(),
             materials: true,
             lights: true,
+            all_primvars: false,
             refine_edge: None,
         }
     }

@@ -173,6 +173,9 @@ impl Request {
                 "collection:*",
             ]);
         }
+        if settings.all_primvars {
+            attributes.push("primvars:*");
+        }
         if settings.lights {
             attributes.extend([
                 "inputs:*",

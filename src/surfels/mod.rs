@@ -4,6 +4,8 @@ mod clusters;
 pub mod dice_map;
 pub mod dice_table;
 pub mod nearest;
+pub mod points;
+pub mod splats;
 pub mod triangle_dice;
 
 pub use dice_map::{DiceMap, PrimDice, Sides};

@@ -3,6 +3,7 @@
 use super::histogram::histogram;
 use super::plot::{Measure, engine_color, pareto};
 use super::{ErrorPicture, Row, TruthSummary, VerifyReport};
+use crate::writers::base64;
 use crate::writers::image::png_of_rgb;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -201,43 +202,9 @@ fn microseconds(x: f64) -> String {
     }
 }
 
-/// RFC 4648.
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let group = chunk.iter().enumerate().fold(0_u32, |group, (i, byte)| {
-            group | u32::from(*byte) << (16 - 8 * i)
-        });
-        for i in 0..4 {
-            let digit = (group >> (18 - 6 * i)) & 63;
-            text.push(if i <= chunk.len() {
-                char::from(DIGITS[digit as usize])
-            } else {
-                '='
-            });
-        }
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn base64_is_that_of_the_rfcs_test_vectors() {
-        let pairs = [
-            ("", ""),
-            ("f", "Zg=="),
-            ("fo", "Zm8="),
-            ("foo", "Zm9v"),
-            ("foobar", "Zm9vYmFy"),
-        ];
-        for (plain, coded) in pairs {
-            assert_eq!(base64(plain.as_bytes()), coded);
-        }
-    }
 
     #[test]
     fn percentages_keep_three_digits() {

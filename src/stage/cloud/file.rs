@@ -80,10 +80,15 @@ impl File {
 
     /// Paths of all active `Points` prims, sorted.
     pub(in crate::stage) fn points(&self) -> Vec<Path> {
+        self.prims_of_type("Points")
+    }
+
+    /// Paths of all active prims of a type, sorted.
+    pub(in crate::stage) fn prims_of_type(&self, type_name: &str) -> Vec<Path> {
         let mut paths = self.0.spec_paths();
         paths.retain(|path| {
             self.0.spec_type(path) == Some(SpecType::Prim)
-                && matches!(self.metadata(path, "typeName"), Some(Value::Token(t)) if t.as_str() == "Points")
+                && matches!(self.metadata(path, "typeName"), Some(Value::Token(t)) if t.as_str() == type_name)
                 && path.ancestors_below_root().all(|prim| {
                     !matches!(self.metadata(&prim, "active"), Some(Value::Bool(false)))
                 })

@@ -79,7 +79,7 @@ fn author_stage(layer: &mut Opinions, stage: &StageInfo, bake: &Path, path: &Pat
 }
 
 /// How the layer at `from` names `file`: relative where both are files of this machine, else as it was given.
-fn asset_path(file: &Path, from: &Path) -> String {
+pub fn asset_path(file: &Path, from: &Path) -> String {
     let text = || file.to_string_lossy().into_owned();
     if file.to_string_lossy().contains("://") {
         return text();
@@ -132,7 +132,7 @@ fn relative(file: &Path, folder: &Path) -> Option<String> {
 }
 
 /// The unlit material. It lies below the default prim, so that it comes along when the stage is referenced.
-fn author_material(layer: &mut Opinions, stage: &StageInfo) -> Result<SdfPath, Error> {
+pub(super) fn author_material(layer: &mut Opinions, stage: &StageInfo) -> Result<SdfPath, Error> {
     let parent = stage
         .default_prim
         .as_deref()
@@ -205,7 +205,8 @@ fn input(
     Ok(path)
 }
 
-fn bind(layer: &mut Opinions, prim: &str, material: &SdfPath) -> Result<(), Error> {
+/// Bind `material` to `prim`, stronger than what is below.
+pub(super) fn bind(layer: &mut Opinions, prim: &str, material: &SdfPath) -> Result<(), Error> {
     let prim = layer.over(prim)?;
     let schema = TokenListOp::prepended([Token::new("MaterialBindingAPI")]);
     layer.set(&prim, FieldKey::ApiSchemas, Value::TokenListOp(schema));

@@ -45,16 +45,17 @@ pub fn write(
         FieldKey::DefaultPrim,
         Value::Token(Token::new("root")),
     );
-    author_root(&mut layer, cloud)?;
+    author_root(&mut layer, cloud.origin)?;
     let surfels = layer.define("/root/surfels", "Points")?;
     author_about(&mut layer, &surfels, cloud, (scene_stage, options))?;
     author_columns(&mut layer, &surfels, cloud)?;
     save(&layer.finish(), path)
 }
 
-fn author_root(layer: &mut Opinions, cloud: &SurfelCloud) -> Result<(), Error> {
+/// `/root`, moved to `origin`.
+pub(super) fn author_root(layer: &mut Opinions, origin: glam::DVec3) -> Result<(), Error> {
     let root = layer.define("/root", "Xform")?;
-    if cloud.origin == glam::DVec3::ZERO {
+    if origin == glam::DVec3::ZERO {
         return Ok(());
     }
     let name = "xformOp:translate";
@@ -64,7 +65,7 @@ fn author_root(layer: &mut Opinions, cloud: &SurfelCloud) -> Result<(), Error> {
         interpolation: None,
     };
     let translate = layer.attribute(&root, declaration)?;
-    let origin = gf::Vec3d::from(cloud.origin.to_array());
+    let origin = gf::Vec3d::from(origin.to_array());
     layer.set(&translate, FieldKey::Default, Value::Vec3d(origin));
     let order = Value::TokenVec(vec![Token::new(name)]);
     layer.uniform(&root, "xformOpOrder", "token[]", order)?;
@@ -122,7 +123,7 @@ fn author_columns(
         Ok(())
     };
     let normals = || vectors(cloud.normal.clone());
-    author("extent", "float3[]", extent(cloud))?;
+    author("extent", "float3[]", extent(&cloud.position, &cloud.radius))?;
     author("points", "point3f[]", vectors(cloud.position.clone()))?;
     author("widths", "float[]", Value::FloatVec(widths))?;
     author("normals", "normal3f[]", normals())?;
@@ -140,10 +141,12 @@ fn author_columns(
     author("primvars:sourcePrim", "int[]", sources)
 }
 
-/// Bounds of all disks taken as spheres, as USD's own `ComputeExtent` has it; a point at 0 for an empty cloud.
-fn extent(cloud: &SurfelCloud) -> Value {
-    let mut spheres = cloud.position.iter().zip(&cloud.radius);
-    let around = |(&center, &radius): (&Vec3, &f32)| (center - radius, center + radius);
+/// Bounds of all disks taken as spheres, as USD's own `ComputeExtent` has it; a point at 0 for none. Radii that are
+/// missing are 0.
+pub(super) fn extent(position: &[Vec3], radius: &[f32]) -> Value {
+    let radii = radius.iter().copied().chain(std::iter::repeat(0.0));
+    let mut spheres = position.iter().zip(radii);
+    let around = |(&center, radius): (&Vec3, f32)| (center - radius, center + radius);
     let first = spheres.next().map_or((Vec3::ZERO, Vec3::ZERO), around);
     let (low, high) = spheres
         .map(around)

@@ -3,12 +3,17 @@
 //! Text or binary by extension (`.usda`; `.usdc` and `.usd` are binary). Binary files say version 0.8.0, the lowest
 //! that can hold what is written here, so that every USD since 2021 opens them.
 
+pub mod author;
 pub mod baked;
 pub mod cloud;
 mod corrections;
 pub mod layer;
 mod opinions;
+pub mod points;
+pub mod splats;
 mod targets;
+
+pub use baked::asset_path;
 
 use crate::scene::{StageInfo, UpAxis};
 use crate::writers::whole::temporary_beside;

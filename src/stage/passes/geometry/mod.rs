@@ -115,7 +115,12 @@ impl Layout<'_> {
         look: &Look,
         diagnostics: &Diagnostics,
     ) -> Result<(Vec<Mesh>, Vec<Prim>), Error> {
-        let names = kept_primvars(look);
+        let mut names = kept_primvars(look);
+        if self.settings.all_primvars {
+            names.extend(authored_numbers(self.raw));
+            names.sort_unstable();
+            names.dedup();
+        }
         let mut geometries = self.geometries(&names);
         let mut sources = read_all(&geometries, &names, diagnostics)?;
         self.share_gprims(&mut geometries, &mut sources);
@@ -321,6 +326,28 @@ fn kept_primvars(look: &Look) -> Vec<String> {
     names.sort_unstable();
     names.dedup();
     names
+}
+
+/// Names of all primvars of numbers on the stage but those of skinning.
+fn authored_numbers(raw: &RawStage) -> Vec<String> {
+    let attributes = raw.prims.iter().flat_map(|prim| &prim.attributes);
+    let names = attributes.filter_map(|(name, attribute)| {
+        let name = name.strip_prefix("primvars:")?;
+        let is_data = !name.ends_with(":indices") && !name.starts_with("skel:");
+        let numbers = attribute.value.as_ref().is_some_and(|value| {
+            use crate::stage::raw::Value as V;
+            matches!(
+                value,
+                V::FloatArray(_)
+                    | V::Vec2Array(_)
+                    | V::Vec3Array(_)
+                    | V::Vec4Array(_)
+                    | V::IntArray(_)
+            )
+        });
+        (is_data && numbers).then(|| name.to_owned())
+    });
+    names.collect()
 }
 
 /// A geometry read and checked.
