@@ -56,6 +56,7 @@ pub mod trace;
 // steps, in the paper's order
 pub mod bake;
 pub mod bounce;
+pub mod exchange;
 pub mod gather;
 pub mod octree;
 pub mod pilot;

@@ -92,6 +92,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "writers",
         ],
     ),
+    (
+        "exchange",
+        &["math", "diagnostics", "scene", "surfels", "writers"],
+    ),
     // the whole
     (
         "pipeline",
@@ -142,6 +146,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("indicatif", &["cli"]),
     ("ctrlc", &["cli"]),
     ("anyhow", &["cli", "writers"]),
+    ("gltf", &["exchange"]),
     ("maud", &["verify"]),
     ("rustix", &["pilot", "stage"]),
 ];
