@@ -63,6 +63,7 @@ pub mod pilot;
 pub mod receivers;
 pub mod stage;
 pub mod verify;
+pub mod view;
 pub mod writers;
 
 // the whole

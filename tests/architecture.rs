@@ -96,6 +96,17 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "exchange",
         &["math", "diagnostics", "scene", "surfels", "writers"],
     ),
+    (
+        "view",
+        &[
+            "math",
+            "diagnostics",
+            "scene",
+            "surfels",
+            "receivers",
+            "writers",
+        ],
+    ),
     // the whole
     (
         "pipeline",
@@ -118,6 +129,8 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "writers",
             "pilot",
             "verify",
+            "view",
+            "exchange",
         ],
     ),
     (
@@ -147,7 +160,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("ctrlc", &["cli"]),
     ("anyhow", &["cli", "writers"]),
     ("gltf", &["exchange"]),
-    ("maud", &["verify"]),
+    ("maud", &["verify", "view"]),
     ("rustix", &["pilot", "stage"]),
 ];
 

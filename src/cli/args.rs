@@ -72,6 +72,22 @@ pub(super) enum JobCommand {
     /// Measure speed against error: engines and settings against ray-traced truth, on this stage.
     #[command(after_help = "Example:\n  surflux verify shot.usda -o report.html --json")]
     Verify(VerifyArgs),
+    /// Show a cloud or a baked stage: a picture (.png), or a page that opens from disk (.html).
+    #[command(
+        after_help = "Example:\n  surflux view cloud.usdc -o cloud.html\n  surflux view bake/asset_baked.usda -o asset.png \
+        --aov occlusion",
+        mut_arg("stage", |file| file.value_name("CLOUD|STAGE").help("A cloud (Points), or a stage with primvars on meshes")),
+        mut_arg("dome", |flag| flag.hide(true))
+    )]
+    View(ViewArgs),
+    /// Convert between USD and other formats: glTF ↔ USD, clouds ↔ PLY and .ptc, Gaussian splats ↔ PLY.
+    #[command(
+        after_help = "Example:\n  surflux convert cloud.usdc cloud.ply\n  surflux convert scan.ply scan.usdc --up-axis Z\n  \
+        surflux convert asset.glb asset.usdc\n  surflux convert bake/asset_baked.usda asset.glb",
+        mut_arg("stage", |file| file.index(1).value_name("IN").help("What to read: .usd, .usda, .usdc, .gltf, .glb, .ply or .ptc")),
+        mut_arg("dome", |flag| flag.hide(true))
+    )]
+    Convert(ConvertArgs),
 }
 
 /// Flags of every command.
@@ -322,6 +338,68 @@ pub(super) struct VerifyArgs {
     pub(super) truth_rays: u32,
 }
 
+#[derive(Debug, Args)]
+pub(super) struct ViewArgs {
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+    #[command(flatten)]
+    pub(super) output: OutputArgs,
+    /// What to show: a primvar, or N. Default: displayColor, else the first there is. A page has all.
+    #[arg(long, value_name = "NAME")]
+    pub(super) aov: Option<String>,
+    /// Camera path or name. Default: all is in view.
+    #[arg(long, value_name = "PATH")]
+    pub(super) camera: Option<String>,
+    /// Pixels across.
+    #[arg(long, alias = "imageWidth", short = 'w', value_name = "N", value_parser = clap::value_parser!(u32).range(16..=16_384))]
+    pub(super) image_width: Option<u32>,
+    /// Ends of the scale of false colors. Default: 0:1 for fractions, else all but the outermost 0.5 %.
+    #[arg(long, value_name = "LOW:HIGH", value_parser = range, allow_hyphen_values = true)]
+    pub(super) range: Option<(f32, f32)>,
+    /// Brighten colors by so many stops. Default: 95 % of them up to white.
+    #[arg(long, value_name = "STOPS", allow_hyphen_values = true)]
+    pub(super) exposure: Option<f32>,
+    /// Show surfels from behind too.
+    #[arg(long)]
+    pub(super) both_sides: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct ConvertArgs {
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+    /// What to write; its name says the format.
+    #[arg(value_name = "OUT", index = 2)]
+    pub(super) to: PathBuf,
+    /// PLY as text.
+    #[arg(long)]
+    pub(super) ascii: bool,
+    /// PLY with its bytes the other way around.
+    #[arg(long, conflicts_with = "ascii")]
+    pub(super) big_endian: bool,
+    /// What points up, where the format read does not say. Default: Y.
+    #[arg(long, value_enum, ignore_case = true, value_name = "AXIS")]
+    pub(super) up_axis: Option<AxisName>,
+    /// Length of a unit in meters, where the format read does not say. Default: 1.
+    #[arg(long, value_name = "METERS", value_parser = positive)]
+    pub(super) meters_per_unit: Option<f32>,
+    /// Write points as a mesh of squares, for programs that draw no points.
+    #[arg(long)]
+    pub(super) display_mesh: bool,
+    /// Fail rather than replace a file.
+    #[arg(long)]
+    pub(super) no_clobber: bool,
+    /// List the outputs, do nothing.
+    #[arg(long)]
+    pub(super) dry_run: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum AxisName {
+    Y,
+    Z,
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum UsdDoor {
     Auto,
@@ -417,6 +495,14 @@ fn cone_angle(text: &str) -> Result<f32, String> {
         Ok(degrees) if degrees > 0.0 && degrees <= 90.0 => Ok(degrees),
         _ => Err("degrees greater than 0, at most 90, are needed".to_owned()),
     }
+}
+
+fn range(text: &str) -> Result<(f32, f32), String> {
+    let ends = text.split_once(':').and_then(|(low, high)| {
+        let (low, high) = (low.parse::<f32>().ok()?, high.parse::<f32>().ok()?);
+        (low < high && (high - low).is_finite()).then_some((low, high))
+    });
+    ends.ok_or_else(|| "two numbers, the lower first, are needed: 0:0.5".to_owned())
 }
 
 fn positive(text: &str) -> Result<f32, String> {

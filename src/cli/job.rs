@@ -1,17 +1,18 @@
 //! Arguments as typed → a [`Job`] as meant.
 
 use super::args::{
-    BakeArgs, BouncesArg, EngineName, ExrLayout, GatherArgs, InfoArgs, InstancesName,
-    InterpolationName, JobCommand, JobName, LoadName, OutputArgs, PointsArgs, PurposeName,
-    RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
+    AxisName, BakeArgs, BouncesArg, ConvertArgs, EngineName, ExrLayout, GatherArgs, InfoArgs,
+    InstancesName, InterpolationName, JobCommand, JobName, LoadName, OutputArgs, PointsArgs,
+    PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs, ViewArgs,
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
-    BakeJob, Bounces, Dome, EngineChoice, Falloff, GatherJob, InfoJob, Job, MapsSettings,
-    OcclusionKind, OutputJob, PointsJob, Purposed, RenderJob, StageJob, VerifyJob,
+    BakeJob, Bounces, ConvertJob, Dome, Encoding, EngineChoice, Falloff, GatherJob, InfoJob, Job,
+    MapsSettings, OcclusionKind, OutputJob, PointsJob, Purposed, RenderJob, StageJob, VerifyJob,
+    ViewJob,
 };
 use crate::results::{Aov, BakeInterpolation};
-use crate::scene::Purpose;
+use crate::scene::{Purpose, UpAxis};
 use crate::stage::{Composition, Door, Load};
 use crate::writers::usd::layer::InstancePolicy;
 use anyhow::{Context, bail};
@@ -27,6 +28,8 @@ impl JobCommand {
             Self::Info(args) => &args.stage,
             Self::Validate(args) => &args.stage,
             Self::Verify(args) => &args.stage,
+            Self::View(args) => &args.stage,
+            Self::Convert(args) => &args.stage,
         }
     }
 }
@@ -43,6 +46,8 @@ pub(super) fn from_args(command: JobCommand, command_line: &[String]) -> anyhow:
         JobCommand::Info(args) => Job::Info(info(args, command_line)?),
         JobCommand::Validate(args) => Job::Validate(stage(args.stage, command_line)?),
         JobCommand::Verify(args) => Job::Verify(verify(args, command_line)?),
+        JobCommand::View(args) => Job::View(view(args, command_line)?),
+        JobCommand::Convert(args) => Job::Convert(convert(args, command_line)?),
     })
 }
 
@@ -90,8 +95,13 @@ fn purpose(name: PurposeName) -> Purpose {
 }
 
 fn output(args: OutputArgs, extensions: &[&str]) -> anyhow::Result<OutputJob> {
+    output_named(args, "--output", extensions)
+}
+
+/// `name` is what the command line calls it.
+fn output_named(args: OutputArgs, name: &str, extensions: &[&str]) -> anyhow::Result<OutputJob> {
     if let Some(path) = &args.output {
-        check_extension(path, extensions)?;
+        check_extension(path, name, extensions)?;
     }
     Ok(OutputJob {
         path: args.output,
@@ -100,7 +110,7 @@ fn output(args: OutputArgs, extensions: &[&str]) -> anyhow::Result<OutputJob> {
     })
 }
 
-fn check_extension(path: &Path, extensions: &[&str]) -> anyhow::Result<()> {
+fn check_extension(path: &Path, name: &str, extensions: &[&str]) -> anyhow::Result<()> {
     let extension = path
         .extension()
         .and_then(|extension| extension.to_str())
@@ -109,7 +119,7 @@ fn check_extension(path: &Path, extensions: &[&str]) -> anyhow::Result<()> {
         return Ok(());
     }
     bail!(
-        "--output {}: the name must end in .{}",
+        "{name} {}: the name must end in .{}",
         path.display(),
         extensions.join(" or .")
     )
@@ -330,6 +340,55 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
         truth_rays: args.truth_rays,
         sets: args.sets,
         only_auto: args.only_auto,
+    })
+}
+
+fn view(args: ViewArgs, command_line: &[String]) -> anyhow::Result<ViewJob> {
+    args.output
+        .output
+        .as_ref()
+        .context("view needs --output OUT.png or OUT.html")?;
+    if args.exposure.is_some_and(|stops| !stops.is_finite()) {
+        bail!("--exposure: a number of stops is needed");
+    }
+    Ok(ViewJob {
+        stage: stage(args.stage, command_line)?,
+        output: output(args.output, &["png", "html"])?,
+        channel: args.aov,
+        camera: args.camera,
+        image_width: args.image_width,
+        range: args.range,
+        exposure: args.exposure,
+        both_sides: args.both_sides,
+    })
+}
+
+/// Endings of the names that can be written.
+const WRITTEN: &[&str] = &["usdc", "usda", "usd", "glb", "ply", "ptc"];
+
+fn convert(args: ConvertArgs, command_line: &[String]) -> anyhow::Result<ConvertJob> {
+    let output = OutputArgs {
+        output: Some(args.to),
+        no_clobber: args.no_clobber,
+        dry_run: args.dry_run,
+    };
+    Ok(ConvertJob {
+        stage: stage(args.stage, command_line)?,
+        output: output_named(output, "OUT", WRITTEN)?,
+        encoding: match (args.ascii, args.big_endian) {
+            (true, _) => Encoding::Ascii,
+            (_, true) => Encoding::BinaryBig,
+            _ => Encoding::Binary,
+        },
+        up_axis: args.up_axis.map(|axis| match axis {
+            AxisName::Y => UpAxis::Y,
+            AxisName::Z => UpAxis::Z,
+        }),
+        // the decimal digits that were typed, not the nearest single
+        meters_per_unit: args
+            .meters_per_unit
+            .and_then(|unit| unit.to_string().parse().ok()),
+        display_mesh: args.display_mesh,
     })
 }
 

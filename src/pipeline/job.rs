@@ -2,10 +2,11 @@
 
 use crate::bake::BakeSettings;
 use crate::bounce::Bounces;
+use crate::exchange::ply::Encoding;
 use crate::gather::maps::MapsSettings;
 use crate::gather::rays::cone::{Axis, Cone, Falloff};
 use crate::results::{Aov, BakeInterpolation};
-use crate::scene::Purpose;
+use crate::scene::{Purpose, UpAxis};
 use crate::stage::{Composition, Door};
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::path::PathBuf;
@@ -258,6 +259,44 @@ pub struct VerifyJob {
     pub only_auto: bool,
 }
 
+/// A picture or a page of a cloud or a stage.
+#[derive(Debug, Clone)]
+pub struct ViewJob {
+    /// The cloud or stage; the first of its frames is shown.
+    pub stage: StageJob,
+    /// `.png` or `.html`.
+    pub output: OutputJob,
+    /// What is shown; `None`: the first there is.
+    pub channel: Option<String>,
+    /// Path or name of a camera of the stage; `None`: one that sees everything.
+    pub camera: Option<String>,
+    /// Pixels across.
+    pub image_width: Option<u32>,
+    /// Ends of false colors.
+    pub range: Option<(f32, f32)>,
+    /// Stops for colors.
+    pub exposure: Option<f32>,
+    /// Surfels that face away are drawn too.
+    pub both_sides: bool,
+}
+
+/// One format into another.
+#[derive(Debug, Clone)]
+pub struct ConvertJob {
+    /// What is read; of a USD stage with how.
+    pub stage: StageJob,
+    /// What is written.
+    pub output: OutputJob,
+    /// How PLY is written.
+    pub encoding: Encoding,
+    /// Where a format says nothing of it.
+    pub up_axis: Option<UpAxis>,
+    /// Where a format says nothing of it.
+    pub meters_per_unit: Option<f64>,
+    /// Points become a mesh of squares.
+    pub display_mesh: bool,
+}
+
 /// Anything surflux does.
 #[derive(Debug, Clone)]
 pub enum Job {
@@ -273,4 +312,8 @@ pub enum Job {
     Validate(StageJob),
     /// Measure speed against error.
     Verify(VerifyJob),
+    /// Show.
+    View(ViewJob),
+    /// Convert.
+    Convert(ConvertJob),
 }

@@ -2,6 +2,7 @@
 
 mod bake;
 mod choice;
+mod convert;
 mod gather;
 mod info;
 mod job;
@@ -11,6 +12,7 @@ mod points;
 mod raster;
 mod render;
 mod report;
+mod show;
 mod spacing;
 mod validate;
 mod verify;
@@ -18,6 +20,7 @@ mod view;
 mod world;
 
 pub use crate::bounce::Bounces;
+pub use crate::exchange::ply::Encoding;
 pub use crate::gather::maps::MapsSettings;
 pub use crate::gather::rays::cone::Falloff;
 pub use info::{
@@ -25,8 +28,8 @@ pub use info::{
     RenderSummary, StageSummary, Suspicion, TextureSummary, TreeEntry, info,
 };
 pub use job::{
-    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OcclusionKind, OutputJob, PointsJob,
-    Purposed, RenderJob, StageJob, VerifyJob,
+    BakeJob, ConvertJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OcclusionKind, OutputJob,
+    PointsJob, Purposed, RenderJob, StageJob, VerifyJob, ViewJob,
 };
 pub use report::{Counts, ErrorReport, ReadReport, Report, Seconds};
 pub use validate::{CheckSummary, ValidationReport, validate};
@@ -45,6 +48,19 @@ pub enum Error {
     /// A USD file could not be written.
     #[error(transparent)]
     WriteUsd(#[from] crate::writers::usd::Error),
+    /// A file of another format could not be read or written.
+    #[error(transparent)]
+    Exchange(#[from] crate::exchange::Error),
+    /// There is no way from the one to the other.
+    #[error("{} cannot be converted to {}: {reason}", from.display(), to.display())]
+    NoWay {
+        /// What was to be read.
+        from: PathBuf,
+        /// What was to be written.
+        to: PathBuf,
+        /// What would have been possible.
+        reason: String,
+    },
     /// An image could not be written.
     #[error(transparent)]
     WriteImage(#[from] crate::writers::image::Error),
@@ -90,6 +106,22 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
+    /// There are no points and no meshes.
+    #[error("{}: nothing is there to show (wanted: Points, or a stage with visible meshes or gprims)", path.display())]
+    NothingToShow {
+        /// The file.
+        path: PathBuf,
+    },
+    /// No such values.
+    #[error("{}: it has no values called {name}; there are: {known}", path.display())]
+    NoChannel {
+        /// The file.
+        path: PathBuf,
+        /// As asked for.
+        name: String,
+        /// Names of all.
+        known: String,
+    },
     /// A bake without meshes.
     #[error("{}: no mesh is on the stage that values could be written to", path.display())]
     NothingToBake {
@@ -108,6 +140,8 @@ pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
         Job::Points(job) => points::run(job, diagnostics),
         Job::Bake(job) => bake::run(job, diagnostics),
         Job::Render(job) => render::run(job, diagnostics),
+        Job::View(job) => show::run(job, diagnostics),
+        Job::Convert(job) => convert::run(job, diagnostics),
         Job::Info(InfoJob { stage, .. })
         | Job::Validate(stage)
         | Job::Verify(VerifyJob { stage, .. }) => Ok(Report::new(&stage.command)),

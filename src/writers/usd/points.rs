@@ -18,6 +18,10 @@ use openusd::sdf::{FieldKey, Path as SdfPath, Value};
 use openusd::tf::Token;
 use std::path::Path;
 
+/// How far squares are off their points along the normal, in radii: surfels of the two sides of a wall are in one place, and
+/// what lies in one plane is drawn in a pattern of both.
+const LIFT: f32 = 0.01;
+
 /// Write `points` to `path` as `Points`.
 ///
 /// # Errors
@@ -192,6 +196,7 @@ fn squares(points: &PointSet, up: Vec3) -> Vec<Vec3> {
         let normal = points.normal.as_ref().map(|normals| normals[i]);
         let normal = normal.filter(|normal| normal.is_normalized()).unwrap_or(up);
         let radius = points.radius.as_ref().map_or(0.0, |radii| radii[i]);
+        let center = center + normal * (LIFT * radius);
         let (u, v) = normal.any_orthonormal_pair();
         let (u, v) = (u * radius, v * radius);
         let turned = [
