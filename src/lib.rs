@@ -57,6 +57,7 @@ pub mod trace;
 pub mod bake;
 pub mod bounce;
 pub mod gather;
+pub mod interpolate;
 pub mod octree;
 pub mod pilot;
 pub mod receivers;

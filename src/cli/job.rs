@@ -2,8 +2,8 @@
 
 use super::args::{
     BakeArgs, BouncesArg, EngineName, ExrLayout, GatherArgs, InfoArgs, InstancesName,
-    InterpolationName, JobCommand, JobName, LoadName, OutputArgs, PointsArgs, PurposeName,
-    RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
+    InterpolateName, InterpolationName, JobCommand, JobName, LoadName, OutputArgs, PointsArgs,
+    PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
@@ -213,6 +213,7 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
             EngineName::Paper => EngineChoice::Paper,
         },
         tolerance: args.tolerance,
+        interpolate: args.interpolate == InterpolateName::Auto,
         rays: args.rays,
         maps: MapsSettings {
             directions: args.directions,
@@ -315,6 +316,7 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
             bounces: Bounces::Count(args.bounces),
             engine: EngineChoice::Auto,
             tolerance: None,
+            interpolate: true,
             rays: args.truth_rays,
             maps: MapsSettings::default(),
             max_solid_angle: PAPER.0,
