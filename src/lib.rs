@@ -58,6 +58,7 @@ pub mod bake;
 pub mod bounce;
 pub mod exchange;
 pub mod gather;
+pub mod interpolate;
 pub mod octree;
 pub mod pilot;
 pub mod receivers;

@@ -77,6 +77,17 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     (
+        "interpolate",
+        &[
+            "math",
+            "diagnostics",
+            "trace",
+            "receivers",
+            "gather",
+            "results",
+        ],
+    ),
+    (
         "writers",
         &["math", "diagnostics", "scene", "surfels", "results"],
     ),
@@ -125,6 +136,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "octree",
             "receivers",
             "gather",
+            "interpolate",
             "bounce",
             "writers",
             "pilot",

@@ -189,6 +189,9 @@ pub(super) struct GatherArgs {
     #[arg(long, value_name = "T", value_parser = fraction,
         conflicts_with_all = ["rays", "directions", "map_pixel", "map_cell"])]
     pub(super) tolerance: Option<f64>,
+    /// Let receivers that rays have seen speak for their neighbors, as far as --tolerance allows. Only with one.
+    #[arg(long, value_enum, default_value_t = InterpolateName::Auto)]
+    pub(super) interpolate: InterpolateName,
     /// Rays a receiver (engine rays without --tolerance).
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(16..=1_048_576))]
     pub(super) rays: u32,
@@ -426,6 +429,15 @@ pub(super) enum PurposeName {
     Render,
     Proxy,
     Guide,
+}
+
+/// Whether receivers speak for others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum InterpolateName {
+    /// Where it pays.
+    Auto,
+    /// Every receiver is gathered at.
+    Never,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

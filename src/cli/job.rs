@@ -2,8 +2,8 @@
 
 use super::args::{
     AxisName, BakeArgs, BouncesArg, ConvertArgs, EngineName, ExrLayout, GatherArgs, InfoArgs,
-    InstancesName, InterpolationName, JobCommand, JobName, LoadName, OutputArgs, PointsArgs,
-    PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs, ViewArgs,
+    InstancesName, InterpolateName, InterpolationName, JobCommand, JobName, LoadName, OutputArgs,
+    PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs, ViewArgs,
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
@@ -223,6 +223,7 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
             EngineName::Paper => EngineChoice::Paper,
         },
         tolerance: args.tolerance,
+        interpolate: args.interpolate == InterpolateName::Auto,
         rays: args.rays,
         maps: MapsSettings {
             directions: args.directions,
@@ -325,6 +326,7 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
             bounces: Bounces::Count(args.bounces),
             engine: EngineChoice::Auto,
             tolerance: None,
+            interpolate: true,
             rays: args.truth_rays,
             maps: MapsSettings::default(),
             max_solid_angle: PAPER.0,

@@ -152,6 +152,7 @@ pub fn gather(
         true => engine.survey(receivers, diagnostics)?,
         false => None,
     };
+    let is_surveyed = surveyed.is_some();
     let engine = surveyed.as_deref().unwrap_or(engine);
     let phase = diagnostics.phase("gather", "receivers", receivers.len() as u64);
     let mut results = empty_results(aovs, receivers.len());
@@ -163,8 +164,15 @@ pub fn gather(
             diagnostics.check()?;
             let count = block.range.len();
             if let Some(order) = &order {
-                let block_receivers = receivers.subset(&order[block.range]);
+                let places = &order[block.range];
+                let block_receivers = receivers.subset(places);
                 block.range = 0..count;
+                let placed = Placed {
+                    engine,
+                    receivers,
+                    places,
+                };
+                let engine = if is_surveyed { &placed } else { engine };
                 work.fill(engine, &block_receivers, &mut block, scratch);
             } else {
                 work.fill(engine, receivers, &mut block, scratch);
@@ -178,6 +186,81 @@ pub fn gather(
         }
     }
     Ok(results)
+}
+
+/// What [`read`] takes from each receiver's hemisphere: so many floats, written by a function of the receiver's index.
+pub type Reading<'a> = (usize, &'a (dyn Fn(usize, &Hemisphere, &mut [f32]) + Sync));
+
+/// Hand the hemisphere of every receiver to a function and collect what that makes of it, one receiver after the other. The
+/// same bits for any number of threads.
+///
+/// # Errors
+/// When cancelled.
+pub fn read(
+    engine: &dyn Engine,
+    receivers: &Receivers,
+    (floats, reading): Reading<'_>,
+    diagnostics: &Diagnostics,
+) -> Result<Vec<f32>, Cancelled> {
+    let surveyed = engine.survey(receivers, diagnostics)?;
+    let engine = surveyed.as_deref().unwrap_or(engine);
+    let order = match engine.gains_from_neighbors() {
+        true => neighbors(receivers),
+        false => (0..receivers.len()).collect(),
+    };
+    let phase = diagnostics.phase("gather", "receivers", receivers.len() as u64);
+    let block_size = engine.block_size().clamp(1, BLOCK);
+    let mut values = vec![0.0; floats * receivers.len()];
+    (values.par_chunks_mut(floats * block_size))
+        .zip(order.par_chunks(block_size))
+        .try_for_each_init(Hemisphere::default, |scratch, (values, places)| {
+            diagnostics.check()?;
+            let placed = Placed {
+                engine,
+                receivers,
+                places,
+            };
+            let few = receivers.subset(places);
+            let engine = if surveyed.is_some() { &placed } else { engine };
+            engine.see(&few, 0..places.len(), scratch, &mut |i, hemisphere| {
+                reading(places[i], hemisphere, &mut values[i * floats..][..floats]);
+            });
+            phase.advance(places.len() as u64);
+            Ok(())
+        })?;
+    Ok(neighbors::undo(&order, &values, floats))
+}
+
+/// An engine that knows what all of `receivers` see, asked about those in `places`.
+#[derive(Debug)]
+struct Placed<'a> {
+    engine: &'a dyn Engine,
+    receivers: &'a Receivers,
+    places: &'a [usize],
+}
+
+impl Engine for Placed<'_> {
+    fn see(
+        &self,
+        _few: &Receivers,
+        block: Range<usize>,
+        scratch: &mut Hemisphere,
+        visit: &mut dyn FnMut(usize, &Hemisphere),
+    ) {
+        for i in block {
+            let place = self.places[i];
+            let mut visit = |_: usize, seen: &Hemisphere| visit(i, seen);
+            (self.engine).see(self.receivers, place..place + 1, scratch, &mut visit);
+        }
+    }
+
+    fn name(&self) -> &'static str {
+        self.engine.name()
+    }
+
+    fn max_distance(&self) -> f32 {
+        self.engine.max_distance()
+    }
 }
 
 /// Indices of `receivers` in the order in which [`gather`] hands them over where an engine gains from neighbors: those next

@@ -57,7 +57,7 @@ impl RaysSettings {
     };
 
     /// Rays of a reference over those of the run it judges.
-    const REFERENCE_RATIO: u32 = 4;
+    pub const REFERENCE_RATIO: u32 = 4;
 
     /// Share of the reference's expected squared error in that of the run: the error of the pattern falls with the
     /// number of rays to the power 0.75 (measured: 64 to 4096 rays), so 4^(−2·0.75).

@@ -1,15 +1,18 @@
 //! Engine, settings and light samples of a run: as asked for, or as a pilot finds them for a tolerance.
 
 use super::Error;
-use super::gather::{Light, Stand};
+use super::gather::Light;
+use super::interpolated::InterpolatedMethod;
 use super::job::{EngineChoice, GatherJob};
 use super::maps::{MapsKnobs, MapsMethod, Promise};
 use super::raster;
 use super::report::{Report, timed};
+use super::stand::Stand;
 use super::world::World;
 use crate::diagnostics::Diagnostics;
 use crate::gather::maps::{self, MapsSettings};
 use crate::gather::{GatherScene, RaysSettings};
+use crate::interpolate;
 use crate::lighting::{LightSamples, Lighting};
 use crate::pilot::{self, Candidate, Knobs, LightScenes, Maps, Method, Outcome, Pick, Pilot};
 use crate::results::{Aov, Results};
@@ -20,6 +23,8 @@ pub(super) struct Choice {
     pub(super) engine: Chosen,
     /// Times the default light samples.
     light_scale: u32,
+    /// Rays see for some receivers, and these speak for the others.
+    pub(super) interpolates: bool,
 }
 
 /// The engine.
@@ -57,6 +62,7 @@ impl Choice {
                 }),
             },
             light_scale: 1,
+            interpolates: false,
         }
     }
 
@@ -80,6 +86,7 @@ impl Choice {
         Self {
             engine,
             light_scale: outcome.light_scale,
+            interpolates: interpolates(stand),
         }
     }
 
@@ -97,6 +104,22 @@ impl Choice {
                     .choices
                     .insert(aovs.to_vec(), Self { engine, ..self });
             }
+        }
+    }
+
+    /// Let rays see for all receivers of the frames to come, if interpolation did not do at this one.
+    pub(super) fn keep_rays(
+        self,
+        method: &InterpolatedMethod<'_>,
+        aovs: &[Aov],
+        report: &mut Report,
+    ) {
+        if method.is_redone() {
+            let choice = Self {
+                interpolates: false,
+                ..self
+            };
+            report.choices.insert(aovs.to_vec(), choice);
         }
     }
 
@@ -134,6 +157,15 @@ impl Found {
         let check = self.outcome.as_ref()?.check.clone()?;
         let tolerance = job.tolerance?;
         (job.engine == EngineChoice::Auto).then_some(Promise { check, tolerance })
+    }
+
+    /// What interpolation has to keep: the tolerance, or what rays alone err by.
+    pub(super) fn promise_of_rays(&self, job: &GatherJob) -> Option<Promise> {
+        let outcome = self.outcome.as_ref()?;
+        Some(Promise {
+            check: outcome.check.clone()?,
+            tolerance: job.tolerance?.max(outcome.worst().unwrap_or(0.0)),
+        })
     }
 
     /// Rays that do again what the raster engine did, at this frame and those to come, where the pilot promised too much: it
@@ -274,12 +306,26 @@ fn round(x: f32) -> f64 {
     x.to_string().parse().unwrap_or_else(|_| f64::from(x))
 }
 
+/// Share of the tolerance that is left to rays where receivers speak for others: squared errors add up.
+const SHARE_OF_RAYS: f64 = 0.95;
+
+/// True if receivers that rays have seen may speak for others.
+fn interpolates(stand: &Stand<'_>) -> bool {
+    let pays = interpolate::pays(stand.receivers, stand.aovs);
+    stand.job.interpolate && stand.cone.is_none() && pays
+}
+
 /// Let a pilot look at `stand`'s receivers.
 pub(super) fn look(
     stand: &Stand<'_>,
     tolerance: f64,
     diagnostics: &Diagnostics,
 ) -> Result<Outcome, Error> {
+    let tolerance = if interpolates(stand) {
+        SHARE_OF_RAYS * tolerance
+    } else {
+        tolerance
+    };
     let candidates = candidates(stand);
     let world = stand.world();
     let uniform = world.lighting.uniform_environment().is_some();

@@ -1,31 +1,29 @@
 //! Surfels, octree, bounces, gather and error estimate of one frame.
 
 use super::Error;
-use super::choice::{self, Chosen};
+use super::choice::{self, Chosen, Found};
+use super::interpolated::InterpolatedMethod;
 use super::job::{EngineChoice, GatherJob};
-use super::maps::{self, MapsKnobs, MapsMethod, Promise};
-use super::raster::{self, RasterMethod};
+use super::maps::{self, MapsKnobs};
+use super::raster;
 use super::report::{Report, timed};
-use super::spacing::{self, Lit, Relit};
+use super::spacing;
+use super::stand::Stand;
 use super::world::World;
 use crate::bake::{self, BakeSettings, Baked};
 use crate::bounce::{BounceClouds, Bounces, CoarseCloud};
 use crate::diagnostics::Diagnostics;
-use crate::gather::maps::MapsPlan;
-use crate::gather::paper::{PaperEngine, PaperSettings};
 use crate::gather::rays::cone::Cone;
 use crate::gather::{
     self, GatherScene, HitLight, LoadedCloud, RadianceSource, RaysEngine, RaysFactory,
     RaysSettings, Reference,
 };
 use crate::lighting::{LightSamples, Lighting};
-use crate::octree::Octree;
 use crate::pilot::Method;
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use crate::stage::cloud;
 use crate::surfels::SurfelCloud;
-use std::cell::OnceCell;
 
 /// The surfels that shine.
 pub(super) enum Light {
@@ -157,18 +155,19 @@ fn gather_group(
     report.counts.gathered = report.counts.receivers;
     let lit = spacing::lit(world, (receivers, aovs), job, (&mut *report, diagnostics))?;
     report.counts.surfels = report.counts.surfels.max(lit.light.len());
-    let stand = Stand {
-        cone,
-        ..Stand::new(world, &lit, receivers, aovs, job)
-    };
+    let stand = Stand::new(world, &lit, receivers, aovs, job).in_cone(cone);
     let found = choice::choose(&stand, report, diagnostics)?;
     let lighting = found.choice.lighting(world, diagnostics);
     let scene = GatherScene {
         lighting: Some(lighting.as_ref().unwrap_or(&world.lighting)),
         ..stand.scene()
     };
+    let run = (&mut *report, diagnostics);
     let results = match found.choice.engine {
-        Chosen::Rays(rays) => see_rays(&stand, scene, rays, (&mut *report, diagnostics))?,
+        Chosen::Rays(rays) if found.choice.interpolates => {
+            see_interpolated(&stand, scene, (rays, &found), run)?
+        }
+        Chosen::Rays(rays) => see_rays(&stand, scene, rays, run)?,
         Chosen::Raster(knobs) => {
             let results = see_raster(&stand, scene, knobs, (&mut *report, diagnostics))?;
             found.look_back(&results, report);
@@ -181,31 +180,8 @@ fn gather_group(
                 None => results,
             }
         }
-        Chosen::Paper(knobs) => {
-            timed(&mut report.seconds.octree, || stand.octree());
-            let engine = stand.paper(knobs);
-            let reference = Reference {
-                engine: &stand.rays_with(stand.rays_settings(job.rays)),
-                cost: PAPER_REFERENCE_COST,
-                error_share: 0.0,
-            };
-            let run = (&mut *report, diagnostics);
-            see(&stand, scene, ("paper", &engine, reference), run)?
-        }
-        Chosen::Maps(knobs) => {
-            let method = stand.maps(&knobs, found.promise(job));
-            let reference = Reference {
-                engine: &stand.rays_with(stand.rays_settings(maps::REFERENCE_RAYS)),
-                cost: maps::REFERENCE_COST,
-                error_share: 0.0,
-            };
-            let run = (&mut *report, diagnostics);
-            let results = see(&stand, scene, ("maps", &method, reference), run)?;
-            method.record(&stand, report);
-            found.look_back(&results, report);
-            found.choice.keep(&method, aovs, report);
-            results
-        }
+        Chosen::Paper(knobs) => see_paper(&stand, scene, knobs, run)?,
+        Chosen::Maps(knobs) => see_maps(&stand, scene, (&knobs, &found), run)?,
     };
     report.counts.nodes = report.counts.nodes.max(stand.node_count());
     choice::judge(report, diagnostics);
@@ -214,169 +190,6 @@ fn gather_group(
 
 /// Cost of a reference receiver by rays over one by the paper's engine: measured between 2 and 4 on Cornell boxes.
 const PAPER_REFERENCE_COST: u32 = 4;
-
-/// Rays into a cone at least: all receivers have the same, and fewer print their pattern into what fades with distance (16
-/// in the room of `examples`, whose error they kept below 2 %).
-const LEAST_CONE_RAYS: u32 = 64;
-
-/// Everything a gather of one frame stands on.
-pub(super) struct Stand<'a> {
-    world: &'a World<'a>,
-    light: &'a Light,
-    /// Surfels only tell which sides reflect.
-    at_hits: bool,
-    /// Of each AOV, or nothing.
-    pub(super) surfel_errors: &'a [f64],
-    source: Option<RadianceSource<'a>>,
-    octree: OnceCell<Octree>,
-    maps_plan: OnceCell<MapsPlan<'a>>,
-    /// Part of the hemisphere that is asked about, by rays alone.
-    pub(super) cone: Option<Cone>,
-    pub(super) receivers: &'a Receivers,
-    pub(super) aovs: &'a [Aov],
-    pub(super) job: &'a GatherJob,
-}
-
-impl<'a> Stand<'a> {
-    pub(super) fn new(
-        world: &'a World<'a>,
-        lit: &'a Lit,
-        receivers: &'a Receivers,
-        aovs: &'a [Aov],
-        job: &'a GatherJob,
-    ) -> Self {
-        Self {
-            world,
-            light: &lit.light,
-            at_hits: lit.relit == Relit::All,
-            surfel_errors: &lit.errors,
-            source: match lit.relit {
-                Relit::All => lit.light.at_hits(world, &world.lighting),
-                Relit::Near(radii) => lit.light.source(world, (job.bounces, radii)),
-            },
-            octree: OnceCell::new(),
-            maps_plan: OnceCell::new(),
-            cone: None,
-            receivers,
-            aovs,
-            job,
-        }
-    }
-
-    pub(super) fn world(&self) -> &'a World<'a> {
-        self.world
-    }
-
-    pub(super) fn light(&self) -> &'a Light {
-        self.light
-    }
-
-    /// What lights hits anew that are too near to read surfels.
-    pub(super) fn near_light(&self) -> Option<HitLight<'a>> {
-        match &self.source {
-            Some(RadianceSource::Baked { near, .. }) => *near,
-            _ => None,
-        }
-    }
-
-    pub(super) fn scene(&self) -> GatherScene<'a> {
-        GatherScene {
-            shader: self.world.shader,
-            tracer: &self.world.tracer,
-            lighting: Some(&self.world.lighting),
-        }
-    }
-
-    pub(super) fn rays_settings(&self, rays: u32) -> RaysSettings {
-        let least = if self.cone.is_some() {
-            LEAST_CONE_RAYS
-        } else {
-            1
-        };
-        RaysSettings {
-            rays: rays.max(least),
-            max_distance: self.job.max_distance,
-            cone: self.cone,
-            ..RaysSettings::default()
-        }
-    }
-
-    pub(super) fn rays_with(&self, settings: RaysSettings) -> RaysEngine<'a> {
-        RaysEngine::new(&self.world.tracer, self.source.clone(), settings)
-    }
-
-    /// Rays that find light anew at whatever they hit: truth for one reflection, but for noise. `None` where a few rays
-    /// can't light a place.
-    pub(super) fn rays_lit_at_hits<'s>(
-        &'s self,
-        lighting: &'s Lighting,
-        settings: RaysSettings,
-    ) -> Option<RaysEngine<'s>> {
-        let source = (self.job.bounces == Bounces::Count(1))
-            .then(|| self.light.at_hits(self.world, lighting))
-            .flatten()?;
-        Some(RaysEngine::new(&self.world.tracer, Some(source), settings))
-    }
-
-    /// The paper's engine with these knobs: solid angle and resolution. Builds the octree if nobody has.
-    pub(super) fn paper(
-        &self,
-        (max_solid_angle, raster_resolution): (f32, u32),
-    ) -> PaperEngine<'_> {
-        let settings = PaperSettings {
-            max_solid_angle,
-            raster_resolution,
-            max_distance: self.job.max_distance,
-        };
-        PaperEngine::new(self.octree(), settings)
-    }
-
-    /// The raster engine with these knobs, solid angle and resolution, and rays for what it does not tell. Builds the
-    /// octree if nobody has.
-    pub(super) fn raster(&self, knobs: (f32, u32), rays: u32) -> RasterMethod<'_> {
-        let others = self.rays_with(self.rays_settings(rays));
-        RasterMethod::new(self, knobs, others)
-    }
-
-    /// Maps with these knobs, and rays for the rest.
-    pub(super) fn maps(&self, knobs: &MapsKnobs, promise: Option<Promise>) -> MapsMethod<'_> {
-        // Whoever is handed over asks for the sky alone: rays that need not know what they hit are faster.
-        let handed_over = self.rays_settings(knobs.handed_over);
-        let handed_over = RaysEngine::new(&self.world.tracer, None, handed_over);
-        let others = self.rays_with(self.rays_settings(knobs.others));
-        MapsMethod::new((self.maps_plan(), knobs), handed_over, others, promise)
-    }
-
-    /// What maps draw, looked at when first asked for.
-    pub(super) fn maps_plan(&self) -> &MapsPlan<'a> {
-        self.maps_plan
-            .get_or_init(|| MapsPlan::new(self.world.scene()))
-    }
-
-    /// Surfels that tell light: 0 where none is asked for, or hits are lit anew.
-    pub(super) fn surfel_count(&self) -> usize {
-        if self.at_hits { 0 } else { self.light.len() }
-    }
-
-    /// The octree over all surfels, built when first asked for.
-    pub(super) fn octree(&self) -> &Octree {
-        self.octree
-            .get_or_init(|| Octree::new(&whole_cloud(self.light)))
-    }
-
-    fn node_count(&self) -> usize {
-        self.octree.get().map_or(0, Octree::node_count)
-    }
-}
-
-/// All surfels as one cloud for the octree.
-fn whole_cloud(light: &Light) -> SurfelCloud {
-    match light {
-        Light::None => SurfelCloud::default(),
-        Light::Baked(baked) => baked.cloud.clone(),
-        Light::Loaded(clouds) => SurfelCloud::joined(clouds),
-    }
-}
 
 /// Gather with so many rays.
 fn see_rays(
@@ -387,12 +200,77 @@ fn see_rays(
 ) -> Result<Results, Error> {
     let settings = stand.rays_settings(rays);
     let engine = stand.rays_with(settings);
+    let reference = stand.rays_with(settings.reference());
+    see(stand, scene, ("rays", &engine, rays_judge(&reference)), run)
+}
+
+/// Gather with so many rays at some receivers, which speak for the others.
+fn see_interpolated(
+    stand: &Stand<'_>,
+    scene: GatherScene<'_>,
+    (rays, found): (u32, &Found),
+    (report, diagnostics): (&mut Report, &Diagnostics),
+) -> Result<Results, Error> {
+    let settings = stand.rays_settings(rays);
+    let (engine, reference) = (
+        stand.rays_with(settings),
+        stand.rays_with(settings.reference()),
+    );
+    let tolerance = stand.job.tolerance.unwrap_or(0.0);
+    let method = InterpolatedMethod::new(engine, tolerance, found.promise_of_rays(stand.job));
+    let run = (&mut *report, diagnostics);
+    let results = see(stand, scene, ("rays", &method, rays_judge(&reference)), run)?;
+    method.record(report);
+    found.look_back(&results, report);
+    found.choice.keep_rays(&method, stand.aovs, report);
+    Ok(results)
+}
+
+/// Gather with the paper's engine.
+fn see_paper(
+    stand: &Stand<'_>,
+    scene: GatherScene<'_>,
+    knobs: (f32, u32),
+    (report, diagnostics): (&mut Report, &Diagnostics),
+) -> Result<Results, Error> {
+    timed(&mut report.seconds.octree, || stand.octree());
     let reference = Reference {
-        engine: &stand.rays_with(settings.reference()),
-        cost: settings.reference().rays / settings.rays.max(1),
-        error_share: RaysSettings::REFERENCE_ERROR_SHARE,
+        engine: &stand.rays_with(stand.rays_settings(stand.job.rays)),
+        cost: PAPER_REFERENCE_COST,
+        error_share: 0.0,
     };
-    see(stand, scene, ("rays", &engine, reference), run)
+    let run = (report, diagnostics);
+    see(stand, scene, ("paper", &stand.paper(knobs), reference), run)
+}
+
+/// Gather with maps, and rays where these can't tell.
+fn see_maps(
+    stand: &Stand<'_>,
+    scene: GatherScene<'_>,
+    (knobs, found): (&MapsKnobs, &Found),
+    (report, diagnostics): (&mut Report, &Diagnostics),
+) -> Result<Results, Error> {
+    let method = stand.maps(knobs, found.promise(stand.job));
+    let reference = Reference {
+        engine: &stand.rays_with(stand.rays_settings(maps::REFERENCE_RAYS)),
+        cost: maps::REFERENCE_COST,
+        error_share: 0.0,
+    };
+    let run = (&mut *report, diagnostics);
+    let results = see(stand, scene, ("maps", &method, reference), run)?;
+    method.record(stand, report);
+    found.look_back(&results, report);
+    found.choice.keep(&method, stand.aovs, report);
+    Ok(results)
+}
+
+/// Judges rays by rays of [`RaysSettings::reference`].
+fn rays_judge<'e>(engine: &'e RaysEngine<'_>) -> Reference<'e> {
+    Reference {
+        engine,
+        cost: RaysSettings::REFERENCE_RATIO,
+        error_share: RaysSettings::REFERENCE_ERROR_SHARE,
+    }
 }
 
 /// Gather with the raster engine.

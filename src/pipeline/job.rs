@@ -78,6 +78,8 @@ pub struct GatherJob {
     pub engine: EngineChoice,
     /// Relative RMSE to meet; `None`: the knobs below say what to do.
     pub tolerance: Option<f64>,
+    /// Let receivers speak for others where the tolerance allows.
+    pub interpolate: bool,
     /// Rays a receiver (without a tolerance).
     pub rays: u32,
     /// Maps (without a tolerance); the distance below holds for them too.

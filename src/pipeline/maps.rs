@@ -1,7 +1,7 @@
 //! Maps in a run: what only asks for the sky by maps, rays for the rest and where maps cannot tell.
 
-use super::gather::Stand;
 use super::report::Report;
+use super::stand::Stand;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::maps::{self, MapsPlan, MapsSettings};
 use crate::gather::{self, GatherScene, RaysEngine};
@@ -40,7 +40,8 @@ pub(super) struct MapsMethod<'a> {
     handed_over: RaysEngine<'a>,
     /// Receivers that these have computed.
     handed_over_count: AtomicUsize,
-    others: RaysEngine<'a>,
+    /// Rays for all else.
+    others: Box<dyn Method + 'a>,
     promise: Option<Promise>,
     /// Settings of the maps that kept their promise, if these are not the ones that were asked for.
     finer: OnceLock<MapsSettings>,
@@ -70,7 +71,7 @@ impl<'a> MapsMethod<'a> {
     pub(super) fn new(
         (plan, knobs): (&'a MapsPlan<'a>, &MapsKnobs),
         handed_over: RaysEngine<'a>,
-        others: RaysEngine<'a>,
+        others: Box<dyn Method + 'a>,
         promise: Option<Promise>,
     ) -> Self {
         Self {
@@ -183,7 +184,7 @@ impl Method for MapsMethod<'_> {
         let mut found = if rest.is_empty() {
             Results::default()
         } else {
-            gather::gather(scene, &self.others, receivers, &rest, diagnostics)?
+            self.others.gather(scene, receivers, &rest, diagnostics)?
         };
         if !sky.is_empty() {
             let (errors, mut sky): (Vec<Aov>, Vec<Aov>) =

@@ -1,7 +1,8 @@
 //! The raster engine in a run: reflected light by it, and by rays what asks which directions are open.
 
-use super::gather::{Light, Stand};
+use super::gather::Light;
 use super::report::Report;
+use super::stand::Stand;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::{self, GatherScene, RasterEngine, RasterSettings, RaysEngine};
 use crate::lighting::Lighting;

@@ -2,10 +2,11 @@
 
 mod subjects;
 
-use super::gather::{Light, Stand, light};
+use super::gather::{Light, light};
 use super::job::{GatherJob, VerifyJob};
 use super::report::Report;
 use super::spacing::{self, Lit};
+use super::stand::Stand;
 use super::view::camera;
 use super::world::{Needs, World, with_world};
 use super::{Error, outputs};

@@ -10,6 +10,7 @@ pub mod geometry;
 pub mod harmonics;
 pub mod irradiance;
 pub mod occlusion;
+pub mod turn;
 
 use super::Hemisphere;
 use crate::receivers::Receivers;

@@ -2,9 +2,10 @@
 
 use super::super::Error;
 use super::super::choice::{self, Choice, Chosen, PAPER_KNOBS, paper_knobs};
-use super::super::gather::Stand;
+use super::super::interpolated::InterpolatedMethod;
 use super::super::maps::{self, MapsKnobs, Promise};
 use super::super::raster::{RASTER_KNOBS, RasterMethod};
+use super::super::stand::Stand;
 use super::super::world::World;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::maps::{MapsSettings, supports};
@@ -244,11 +245,20 @@ pub(super) fn auto<'s>(
             ("raster", paper_knobs(knobs), Box::new(method))
         }
         Chosen::Paper(knobs) => ("paper", paper_knobs(knobs), Box::new(stand.paper(knobs))),
-        Chosen::Rays(rays) => (
-            "rays",
-            vec![("rays", f64::from(rays))],
-            Box::new(stand.rays_with(stand.rays_settings(rays))),
-        ),
+        Chosen::Rays(rays) => {
+            let engine = stand.rays_with(stand.rays_settings(rays));
+            let method: Box<dyn Method + 's> = if choice.interpolates {
+                let allowed = tolerance.max(outcome.worst().unwrap_or(0.0));
+                let promise = promise.map(|promise| Promise {
+                    tolerance: allowed,
+                    ..promise
+                });
+                Box::new(InterpolatedMethod::new(engine, tolerance, promise))
+            } else {
+                Box::new(engine)
+            };
+            ("rays", vec![("rays", f64::from(rays))], method)
+        }
         Chosen::Maps(knobs) => {
             let method = Box::new(stand.maps(&knobs, promise));
             ("maps", maps::names(&knobs), method)
@@ -263,7 +273,7 @@ pub(super) fn auto<'s>(
         knobs,
         method,
         auto: Some(auto),
-        sees: if matches!(engine, "maps" | "raster") {
+        sees: if matches!(engine, "maps" | "raster") || choice.interpolates {
             Sees::All(outcome.check)
         } else {
             Sees::Each

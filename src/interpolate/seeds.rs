@@ -1,0 +1,174 @@
+//! Receivers that were gathered at, and what they tell of others.
+
+use super::fit::{self, Fit};
+use crate::receivers::Receivers;
+use glam::Vec3;
+use rayon::prelude::*;
+use rstar::RTree;
+use rstar::primitives::GeomWithData;
+use std::collections::BTreeMap;
+use std::ops::{Range, RangeFrom};
+
+/// A place in space, and the seed there.
+type Place = GeomWithData<[f32; 3], u32>;
+
+/// Seeds that a cell asks, at most.
+pub(super) const ASKED: usize = 24;
+
+/// Seeds that a search looks at for each that it takes, at most: those of other sides are passed by, 64 of a crowded one for
+/// each of a side that has one a cell.
+const PASSED: usize = 96;
+
+/// Cosine between the normals of those who may speak for each other.
+pub(super) const ALIKE: f32 = 0.5;
+
+/// Seeds as columns.
+#[derive(Debug)]
+pub(super) struct Seeds {
+    /// Which receiver.
+    pub(super) receiver: Vec<u32>,
+    pub(super) position: Vec<Vec3>,
+    pub(super) normal: Vec<Vec3>,
+    prim: Vec<u32>,
+    /// `components` floats each.
+    pub(super) values: Vec<f32>,
+    /// Change of each of these with the normal.
+    pub(super) turns: Vec<Vec3>,
+    pub(super) components: usize,
+}
+
+impl Seeds {
+    pub(super) fn new(components: usize) -> Self {
+        Self {
+            receiver: Vec::new(),
+            position: Vec::new(),
+            normal: Vec::new(),
+            prim: Vec::new(),
+            values: Vec::new(),
+            turns: Vec::new(),
+            components,
+        }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.receiver.len()
+    }
+
+    /// All seeds.
+    pub(super) fn all(&self) -> Range<u32> {
+        0..u32::try_from(self.len()).expect("receivers are counted by u32")
+    }
+
+    /// Those to come, in order.
+    pub(super) fn next(&self) -> RangeFrom<u32> {
+        self.all().end..
+    }
+
+    /// Add the receivers `which`, with what was read of them: of each its values, then their changes with the normal.
+    pub(super) fn extend(&mut self, receivers: &Receivers, which: &[u32], read: &[f32]) {
+        let indices = || which.iter().map(|&i| i as usize);
+        self.receiver.extend_from_slice(which);
+        self.position
+            .extend(indices().map(|i| receivers.position[i]));
+        self.normal.extend(indices().map(|i| receivers.normal[i]));
+        self.prim.extend(indices().map(|i| receivers.prim[i]));
+        for read in read.chunks_exact(4 * self.components) {
+            let (values, turns) = read.split_at(self.components);
+            self.values.extend_from_slice(values);
+            self.turns
+                .extend(turns.chunks_exact(3).map(Vec3::from_slice));
+        }
+    }
+
+    /// Component `component` of seed `seed`, had it this normal.
+    pub(super) fn turned(&self, seed: u32, component: usize, normal: Vec3) -> f32 {
+        let (i, place) = (seed as usize, seed as usize * self.components + component);
+        self.values[place] + self.turns[place].dot(normal - self.normal[i])
+    }
+
+    /// All of them, to be searched.
+    pub(super) fn index(&self) -> SeedIndex<'_> {
+        let mut by_prim: BTreeMap<u32, Vec<Place>> = BTreeMap::new();
+        for ((position, &prim), seed) in self.position.iter().zip(&self.prim).zip(0..) {
+            let place = Place::new(position.to_array(), seed);
+            by_prim.entry(prim).or_default().push(place);
+        }
+        let tree = |(prim, places)| (prim, RTree::bulk_load(places));
+        SeedIndex {
+            seeds: self,
+            trees: by_prim.into_par_iter().map(tree).collect(),
+        }
+    }
+}
+
+/// Seeds of each prim by place.
+#[derive(Debug)]
+pub(super) struct SeedIndex<'a> {
+    pub(super) seeds: &'a Seeds,
+    trees: BTreeMap<u32, RTree<Place>>,
+}
+
+impl SeedIndex<'_> {
+    /// Up to `count` seeds nearest to seed `around`, itself first, that may speak for what is there: of its prim, on its
+    /// side. Nearest first.
+    pub(super) fn near(&self, around: u32, count: usize) -> Vec<u32> {
+        let seeds = self.seeds;
+        let (normal, prim) = (seeds.normal[around as usize], seeds.prim[around as usize]);
+        let position = seeds.position[around as usize];
+        let is_alike = |&seed: &u32| seeds.normal[seed as usize].dot(normal) > ALIKE;
+        // Of equally far ones the tree takes any, but the same for the same seeds.
+        let others = (self.trees[&prim].nearest_neighbor_iter(position.to_array()))
+            .take(PASSED * count)
+            .map(|place| place.data)
+            .filter(|&seed| seed != around && is_alike(&seed));
+        std::iter::once(around).chain(others).take(count).collect()
+    }
+
+    /// A plane through the values around seed `around`.
+    pub(super) fn fit(&self, around: u32) -> Option<Fit> {
+        fit::fit(self.seeds, &self.near(around, fit::NEIGHBORS + 1))
+    }
+}
+
+#[cfg(test)]
+pub(super) mod testing {
+    use super::*;
+    use crate::gather::testing::receivers_at;
+
+    /// Seeds at (position, normal), of prim 0, with the values and turns of one component.
+    pub(crate) fn seeds_at(all: &[(Vec3, Vec3, f32, Vec3)]) -> Seeds {
+        let places: Vec<_> = all.iter().map(|seed| (seed.0, seed.1)).collect();
+        let read: Vec<f32> = all
+            .iter()
+            .flat_map(|seed| [seed.2, seed.3.x, seed.3.y, seed.3.z])
+            .collect();
+        let mut seeds = Seeds::new(1);
+        let which: Vec<u32> = (0..).take(all.len()).collect();
+        seeds.extend(&receivers_at(&places), &which, &read);
+        seeds
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_near_another_are_of_its_prim_and_side_and_it_is_the_first() {
+        let place = |i: i16| {
+            let normal = if i % 3 == 0 { -Vec3::Y } else { Vec3::Y };
+            (Vec3::X * f32::from(i), normal, 0.0, Vec3::ZERO)
+        };
+        let mut seeds = testing::seeds_at(&(0..30).map(place).collect::<Vec<_>>());
+        seeds.prim[11] = 1;
+        let found = seeds.index().near(10, 5);
+        assert!(
+            found == [10, 8, 7, 13, 14] || found == [10, 8, 13, 7, 14],
+            "{found:?}"
+        );
+        // Two at one place: its own value comes first.
+        seeds.position[13] = seeds.position[10];
+        assert_eq!(seeds.index().near(13, 1), [13]);
+        assert_eq!(seeds.index().near(10, 1), [10]);
+    }
+}

@@ -1,0 +1,158 @@
+//! Seeds → values of all receivers, and whether these are true.
+
+use super::Work;
+use super::base;
+use super::blend::Blend;
+use super::cells::Cells;
+use super::grow::{Cell, Field};
+use super::seeds::{ASKED, Seeds};
+use crate::diagnostics::Cancelled;
+use crate::gather::estimate::spread;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// One in so many blended receivers is gathered at to see whether its values are true, a tenth of what is gathered in a room;
+/// and how many at least.
+const CHECKED: usize = 128;
+const FEWEST_CHECKED: usize = 256;
+
+/// Checked receivers of a prim that tell something about it.
+const FEWEST_OF_PRIM: usize = 8;
+
+/// Blended values of a prim may differ from gathered ones by this much of the tolerance: the engine's own error, by which
+/// neighbors differ a little, is in that. Rooms and teapots have 0.7 to 1.1, a scan with pits 3 to 15.
+const UNTRUE: f64 = 1.3;
+
+/// Values of all receivers.
+pub(super) struct Told {
+    /// Of the base, side by side.
+    pub(super) values: Vec<f32>,
+    /// Receivers whose values are blended.
+    pub(super) blended: Vec<u32>,
+    /// How many were gathered at.
+    pub(super) gathered: usize,
+}
+
+impl Told {
+    /// Put gathered values in place of blended ones.
+    fn replace(&mut self, seeds: &Seeds) {
+        let n = seeds.components;
+        for (&i, value) in seeds.receiver.iter().zip(seeds.values.chunks_exact(n)) {
+            self.values[i as usize * n..][..n].copy_from_slice(value);
+        }
+        self.gathered += seeds.len();
+        let mut is_gathered = vec![false; self.values.len() / n];
+        (seeds.receiver.iter()).for_each(|&i| is_gathered[i as usize] = true);
+        self.blended.retain(|&i| !is_gathered[i as usize]);
+    }
+}
+
+impl Work<'_> {
+    /// Blend what is smooth, and gather at what turns out not to be.
+    pub(super) fn tell(&self, field: Field) -> Result<Told, Cancelled> {
+        let Field {
+            cells,
+            mut seeds,
+            smooth,
+            scales,
+        } = field;
+        let (mut told, orphans) = self.blend(&cells, &seeds, &smooth);
+        self.sow(&mut seeds, &orphans)?;
+        let (untrue, checked) = self.untrue(&told, &scales)?;
+        self.sow(&mut seeds, &untrue)?;
+        told.replace(&seeds);
+        told.gathered += checked;
+        Ok(told)
+    }
+
+    /// Gather at all that was blended.
+    pub(super) fn tell_all(&self, told: &mut Told) -> Result<(), Cancelled> {
+        let mut seeds = Seeds::new(self.components());
+        self.sow(&mut seeds, &told.blended)?;
+        told.replace(&seeds);
+        Ok(())
+    }
+
+    /// Values of all in `smooth` but the seeds; and those whom no seed may speak for.
+    fn blend(&self, cells: &Cells, seeds: &Seeds, smooth: &[Cell]) -> (Told, Vec<u32>) {
+        let (receivers, n) = (self.gathering.receivers, seeds.components);
+        let index = seeds.index();
+        let gradient = |seed| index.fit(seed).map(|fit| fit.gradient);
+        let gradients: Vec<Vec3> = (seeds.all().into_par_iter())
+            .flat_map_iter(|seed| gradient(seed).unwrap_or_else(|| vec![Vec3::ZERO; n]))
+            .collect();
+        let blend = |cell: &Cell| {
+            let mut blend = Blend::new(seeds, &gradients);
+            let asked = index.near(cell.seed, ASKED);
+            let run = &cells.order[cell.run.clone()];
+            let mut out = vec![0.0; n * run.len()];
+            let is_told: Vec<bool> = (run.iter().zip(out.chunks_exact_mut(n)))
+                .map(|(&i, out)| blend.at(receivers, i as usize, &asked, out))
+                .collect();
+            (out, is_told)
+        };
+        let found: Vec<(Vec<f32>, Vec<bool>)> = smooth.par_iter().map(blend).collect();
+        let mut told = Told {
+            values: vec![0.0; n * receivers.len()],
+            blended: Vec::new(),
+            gathered: 0,
+        };
+        let mut orphans = Vec::new();
+        for (cell, (values, is_told)) in smooth.iter().zip(found) {
+            let own = seeds.receiver[cell.seed as usize];
+            let run = cells.order[cell.run.clone()].iter();
+            let run = run.zip(values.chunks_exact(n)).zip(is_told);
+            for ((&i, value), is_told) in run.filter(|((i, _), _)| **i != own) {
+                if is_told {
+                    told.values[i as usize * n..][..n].copy_from_slice(value);
+                    told.blended.push(i);
+                } else {
+                    orphans.push(i);
+                }
+            }
+        }
+        (told, orphans)
+    }
+
+    /// Blended receivers of prims whose blended values are not true, and how many were gathered at to find out.
+    ///
+    /// These keep what was blended: among blended neighbors their own would be seen.
+    fn untrue(&self, told: &Told, scales: &[Option<f64>]) -> Result<(Vec<u32>, usize), Cancelled> {
+        let count = (told.blended.len() / CHECKED).max(FEWEST_CHECKED);
+        let prim = |i: u32| self.gathering.receivers.prim[i as usize];
+        let mut picks: Vec<u32> = (spread(told.blended.len(), count).into_iter())
+            .map(|k| told.blended[k])
+            .collect();
+        picks.sort_by_key(|&i| prim(i));
+        let n = self.components();
+        let mut truth = Seeds::new(n);
+        self.sow(&mut truth, &picks)?;
+        let error = |(&i, truth): (&u32, &[f32])| {
+            let blended = &told.values[i as usize * n..][..n];
+            let off: Vec<f32> = blended.iter().zip(truth).map(|(a, b)| a - b).collect();
+            (prim(i), base::relative(self.base, &off, scales).powi(2))
+        };
+        let errors: Vec<(u32, f64)> = (picks.iter().zip(truth.values.chunks_exact(n)))
+            .map(error)
+            .collect();
+        let limit = (std::env::var("UNTRUE").map_or(UNTRUE, |x| x.parse().expect("n"))
+            * self.settings.tolerance)
+            .powi(2);
+        let is_untrue = |errors: &[(u32, f64)]| {
+            let square: f64 = errors.iter().map(|(_, square)| square).sum();
+            square / errors.len().max(1) as f64 > limit
+        };
+        let untrue: Vec<u32> = (errors.chunk_by(|a, b| a.0 == b.0))
+            .filter(|errors| errors.len() >= FEWEST_OF_PRIM && is_untrue(errors))
+            .map(|errors| errors[0].0)
+            .collect();
+        let rest: Vec<(u32, f64)> = (errors.into_iter())
+            .filter(|(prim, _)| untrue.binary_search(prim).is_err())
+            .collect();
+        // All others together: each may have too few receivers to be judged alone.
+        let all = is_untrue(&rest);
+        let again = |i: &u32| all || untrue.binary_search(&prim(*i)).is_ok();
+        let again = told.blended.iter().copied().filter(again).collect();
+        Ok((again, picks.len()))
+    }
+}

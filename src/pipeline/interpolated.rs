@@ -1,0 +1,69 @@
+//! Interpolation in a run.
+
+use super::maps::Promise;
+use super::report::Report;
+use crate::diagnostics::{Cancelled, Diagnostics};
+use crate::gather::{GatherScene, RaysEngine};
+use crate::interpolate::{self, Gathering, InterpolateSettings};
+use crate::pilot::Method;
+use crate::receivers::Receivers;
+use crate::results::{Aov, Results};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// Rays, and interpolation between those that they see for; rays for all where that breaks a promise.
+#[derive(Debug)]
+pub(super) struct InterpolatedMethod<'a> {
+    engine: RaysEngine<'a>,
+    settings: InterpolateSettings,
+    promise: Option<Promise>,
+    is_redone: AtomicBool,
+    gathered: AtomicUsize,
+}
+
+impl<'a> InterpolatedMethod<'a> {
+    /// For a run that may err by `tolerance`. With a promise, receivers are those of the whole run.
+    pub(super) fn new(engine: RaysEngine<'a>, tolerance: f64, promise: Option<Promise>) -> Self {
+        Self {
+            engine,
+            settings: InterpolateSettings { tolerance },
+            promise,
+            is_redone: AtomicBool::new(false),
+            gathered: AtomicUsize::new(0),
+        }
+    }
+
+    /// True if interpolation has broken the promise.
+    pub(super) fn is_redone(&self) -> bool {
+        self.is_redone.load(Ordering::Relaxed)
+    }
+
+    /// Tell `report` how many receivers were gathered at.
+    pub(super) fn record(&self, report: &mut Report) {
+        report.counts.gathered = self.gathered.load(Ordering::Relaxed);
+    }
+}
+
+impl Method for InterpolatedMethod<'_> {
+    fn gather(
+        &self,
+        scene: GatherScene<'_>,
+        receivers: &Receivers,
+        aovs: &[Aov],
+        diagnostics: &Diagnostics,
+    ) -> Result<Results, Cancelled> {
+        let gathering = Gathering {
+            scene,
+            engine: &self.engine,
+            receivers,
+            aovs,
+        };
+        let is_kept = |results: &Results| {
+            let promise = self.promise.as_ref();
+            promise.is_none_or(|promise| promise.is_kept_by(results))
+        };
+        let found = interpolate::gather(gathering, self.settings, &is_kept, diagnostics)?;
+        self.gathered.store(found.gathered, Ordering::Relaxed);
+        self.is_redone.store(found.is_refused, Ordering::Relaxed);
+        Ok(found.results)
+    }
+}

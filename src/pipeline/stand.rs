@@ -1,0 +1,196 @@
+//! What a gather of one frame stands on: the scene, its light, its receivers, and the engines over them.
+
+use super::gather::Light;
+use super::interpolated::InterpolatedMethod;
+use super::job::GatherJob;
+use super::maps::{MapsKnobs, MapsMethod, Promise};
+use super::raster::RasterMethod;
+use super::spacing::{Lit, Relit};
+use super::world::World;
+use crate::bounce::Bounces;
+use crate::gather::maps::MapsPlan;
+use crate::gather::paper::{PaperEngine, PaperSettings};
+use crate::gather::rays::cone::Cone;
+use crate::gather::{GatherScene, HitLight, RadianceSource, RaysEngine, RaysSettings};
+use crate::lighting::Lighting;
+use crate::octree::Octree;
+use crate::pilot::Method;
+use crate::receivers::Receivers;
+use crate::results::Aov;
+use crate::surfels::SurfelCloud;
+use std::cell::OnceCell;
+
+/// Rays into a cone at least: all receivers have the same, and fewer print their pattern into what fades with distance (16
+/// in the room of `examples`, whose error they kept below 2 %).
+const LEAST_CONE_RAYS: u32 = 64;
+
+/// Everything a gather of one frame stands on.
+pub(super) struct Stand<'a> {
+    world: &'a World<'a>,
+    light: &'a Light,
+    /// Surfels only tell which sides reflect.
+    at_hits: bool,
+    /// Of each AOV, or nothing.
+    pub(super) surfel_errors: &'a [f64],
+    source: Option<RadianceSource<'a>>,
+    octree: OnceCell<Octree>,
+    maps_plan: OnceCell<MapsPlan<'a>>,
+    /// Part of the hemisphere that is asked about, by rays alone.
+    pub(super) cone: Option<Cone>,
+    pub(super) receivers: &'a Receivers,
+    pub(super) aovs: &'a [Aov],
+    pub(super) job: &'a GatherJob,
+}
+
+impl<'a> Stand<'a> {
+    pub(super) fn new(
+        world: &'a World<'a>,
+        lit: &'a Lit,
+        receivers: &'a Receivers,
+        aovs: &'a [Aov],
+        job: &'a GatherJob,
+    ) -> Self {
+        Self {
+            world,
+            light: &lit.light,
+            at_hits: lit.relit == Relit::All,
+            surfel_errors: &lit.errors,
+            source: match lit.relit {
+                Relit::All => lit.light.at_hits(world, &world.lighting),
+                Relit::Near(radii) => lit.light.source(world, (job.bounces, radii)),
+            },
+            octree: OnceCell::new(),
+            maps_plan: OnceCell::new(),
+            cone: None,
+            receivers,
+            aovs,
+            job,
+        }
+    }
+
+    /// The same, asked about `cone`.
+    pub(super) fn in_cone(self, cone: Option<Cone>) -> Self {
+        Self { cone, ..self }
+    }
+
+    pub(super) fn world(&self) -> &'a World<'a> {
+        self.world
+    }
+
+    pub(super) fn light(&self) -> &'a Light {
+        self.light
+    }
+
+    /// What lights hits anew that are too near to read surfels.
+    pub(super) fn near_light(&self) -> Option<HitLight<'a>> {
+        match &self.source {
+            Some(RadianceSource::Baked { near, .. }) => *near,
+            _ => None,
+        }
+    }
+
+    pub(super) fn scene(&self) -> GatherScene<'a> {
+        GatherScene {
+            shader: self.world.shader,
+            tracer: &self.world.tracer,
+            lighting: Some(&self.world.lighting),
+        }
+    }
+
+    pub(super) fn rays_settings(&self, rays: u32) -> RaysSettings {
+        let least = if self.cone.is_some() {
+            LEAST_CONE_RAYS
+        } else {
+            1
+        };
+        RaysSettings {
+            rays: rays.max(least),
+            max_distance: self.job.max_distance,
+            cone: self.cone,
+            ..RaysSettings::default()
+        }
+    }
+
+    pub(super) fn rays_with(&self, settings: RaysSettings) -> RaysEngine<'a> {
+        RaysEngine::new(&self.world.tracer, self.source.clone(), settings)
+    }
+
+    /// Rays that find light anew at whatever they hit: truth for one reflection, but for noise. `None` where a few rays
+    /// can't light a place.
+    pub(super) fn rays_lit_at_hits<'s>(
+        &'s self,
+        lighting: &'s Lighting,
+        settings: RaysSettings,
+    ) -> Option<RaysEngine<'s>> {
+        let source = (self.job.bounces == Bounces::Count(1))
+            .then(|| self.light.at_hits(self.world, lighting))
+            .flatten()?;
+        Some(RaysEngine::new(&self.world.tracer, Some(source), settings))
+    }
+
+    /// The paper's engine with these knobs: solid angle and resolution. Builds the octree if nobody has.
+    pub(super) fn paper(
+        &self,
+        (max_solid_angle, raster_resolution): (f32, u32),
+    ) -> PaperEngine<'_> {
+        let settings = PaperSettings {
+            max_solid_angle,
+            raster_resolution,
+            max_distance: self.job.max_distance,
+        };
+        PaperEngine::new(self.octree(), settings)
+    }
+
+    /// The raster engine with these knobs, solid angle and resolution, and rays for what it does not tell. Builds the
+    /// octree if nobody has.
+    pub(super) fn raster(&self, knobs: (f32, u32), rays: u32) -> RasterMethod<'_> {
+        let others = self.rays_with(self.rays_settings(rays));
+        RasterMethod::new(self, knobs, others)
+    }
+
+    /// Maps with these knobs, and rays for the rest.
+    pub(super) fn maps(&self, knobs: &MapsKnobs, promise: Option<Promise>) -> MapsMethod<'_> {
+        // Whoever is handed over asks for the sky alone: rays that need not know what they hit are faster.
+        let handed_over = self.rays_settings(knobs.handed_over);
+        let handed_over = RaysEngine::new(&self.world.tracer, None, handed_over);
+        let others = self.rays_with(self.rays_settings(knobs.others));
+        let tolerance = self.job.tolerance.filter(|_| self.job.interpolate);
+        let others: Box<dyn Method + '_> = match tolerance {
+            Some(tolerance) => {
+                Box::new(InterpolatedMethod::new(others, tolerance, promise.clone()))
+            }
+            None => Box::new(others),
+        };
+        MapsMethod::new((self.maps_plan(), knobs), handed_over, others, promise)
+    }
+
+    /// What maps draw, looked at when first asked for.
+    pub(super) fn maps_plan(&self) -> &MapsPlan<'a> {
+        self.maps_plan
+            .get_or_init(|| MapsPlan::new(self.world.scene()))
+    }
+
+    /// Surfels that tell light: 0 where none is asked for, or hits are lit anew.
+    pub(super) fn surfel_count(&self) -> usize {
+        if self.at_hits { 0 } else { self.light.len() }
+    }
+
+    /// The octree over all surfels, built when first asked for.
+    pub(super) fn octree(&self) -> &Octree {
+        self.octree
+            .get_or_init(|| Octree::new(&whole_cloud(self.light)))
+    }
+
+    pub(super) fn node_count(&self) -> usize {
+        self.octree.get().map_or(0, Octree::node_count)
+    }
+}
+
+/// All surfels as one cloud for the octree.
+fn whole_cloud(light: &Light) -> SurfelCloud {
+    match light {
+        Light::None => SurfelCloud::default(),
+        Light::Baked(baked) => baked.cloud.clone(),
+        Light::Loaded(clouds) => SurfelCloud::joined(clouds),
+    }
+}

@@ -1,0 +1,373 @@
+//! Interpolation between receivers against gathering at all of them, and against closed forms.
+
+#[allow(dead_code, reason = "shared with other tests, which use the rest")]
+#[path = "support/scenes.rs"]
+mod scenes;
+
+use glam::Vec3;
+use scenes::{SceneBuilder, Side, bowl, plate, receivers_in, room};
+use std::f32::consts::PI;
+use surflux::bake::{BakeSettings, Baked, bake};
+use surflux::diagnostics::Diagnostics;
+use surflux::gather::{GatherScene, RadianceSource, RaysEngine, RaysSettings, gather};
+use surflux::interpolate::{self, Gathering, InterpolateSettings, Interpolated};
+use surflux::lighting::{LightSamples, Lighting};
+use surflux::math::Bounds3;
+use surflux::receivers::Receivers;
+use surflux::results::{Aov, Results};
+use surflux::scene::{PrimId, Scene};
+use surflux::shading::Shader;
+use surflux::trace::Tracer;
+
+const BOX: Bounds3 = Bounds3 {
+    min: Vec3::splat(-1.0),
+    max: Vec3::splat(1.0),
+};
+
+/// A box, finely diced, with a ball on its floor; prims 0 and 1.
+fn ball_in_a_box() -> Scene {
+    let mut builder = SceneBuilder::new();
+    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+    builder.mesh("walls", room(BOX, 48), gray);
+    let center = Vec3::new(0.2, -0.6, 0.1);
+    builder.mesh("ball", bowl(center, 0.4, PI, 24, Side::Outside), gray);
+    builder.build()
+}
+
+/// Surfels of `scene`, bright on top of the ball and in a spot of the floor with a sharp border, dim elsewhere.
+fn spots(scene: &Scene, tracer: &Tracer) -> Baked {
+    let diagnostics = Diagnostics::default();
+    let shader = Shader::new(scene, &diagnostics);
+    let dark = Lighting::new(&shader, LightSamples::SURFEL, &diagnostics);
+    let settings = BakeSettings {
+        spacing: None,
+        surfels: 30_000,
+    };
+    let mut baked = bake(&shader, tracer, &dark, &settings, &diagnostics).expect("not cancelled");
+    let cloud = &mut baked.cloud;
+    for i in 0..cloud.len() {
+        let place = cloud.position[i];
+        let on_floor = place.y < -0.99 && place.distance(Vec3::new(-0.4, -1.0, 0.1)) < 0.5;
+        let on_ball = cloud.prim[i] == 1 && cloud.normal[i].y > 0.7;
+        let radiance = if on_floor || on_ball { 4.0 } else { 1.0 };
+        cloud.radiosity[i] = Vec3::splat(PI * radiance);
+        cloud.emission[i] = Vec3::ZERO;
+    }
+    baked
+}
+
+fn source(baked: &Baked) -> RadianceSource<'_> {
+    RadianceSource::Baked {
+        cloud: &baked.cloud,
+        dice: &baked.dice,
+        near: None,
+    }
+}
+
+fn rays(rays: u32, turn: f32) -> RaysSettings {
+    RaysSettings {
+        rays,
+        turn,
+        ..RaysSettings::default()
+    }
+}
+
+/// What is done in a test.
+struct Run<'a> {
+    scene: &'a Scene,
+    tracer: &'a Tracer,
+    engine: &'a RaysEngine<'a>,
+    receivers: &'a Receivers,
+    aovs: &'a [Aov],
+}
+
+impl Run<'_> {
+    fn whole(&self) -> Results {
+        let diagnostics = Diagnostics::default();
+        let shader = Shader::new(self.scene, &diagnostics);
+        let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
+        let scene = self.scene(&shader, &lighting);
+        gather(scene, self.engine, self.receivers, self.aovs, &diagnostics).expect("not cancelled")
+    }
+
+    fn interpolated(&self, tolerance: f64, accepts: &dyn Fn(&Results) -> bool) -> Interpolated {
+        let diagnostics = Diagnostics::default();
+        let shader = Shader::new(self.scene, &diagnostics);
+        let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
+        let gathering = Gathering {
+            scene: self.scene(&shader, &lighting),
+            engine: self.engine,
+            receivers: self.receivers,
+            aovs: self.aovs,
+        };
+        let settings = InterpolateSettings { tolerance };
+        interpolate::gather(gathering, settings, accepts, &diagnostics).expect("not cancelled")
+    }
+
+    fn scene<'s>(&'s self, shader: &'s Shader<'s>, lighting: &'s Lighting) -> GatherScene<'s> {
+        GatherScene {
+            shader,
+            tracer: self.tracer,
+            lighting: Some(lighting),
+        }
+    }
+}
+
+fn values(results: &Results, aov: Aov) -> &[f32] {
+    &results.get(aov).expect("it was asked for").data
+}
+
+fn mean(values: &[f32]) -> f64 {
+    values.iter().map(|&x| f64::from(x)).sum::<f64>() / values.len() as f64
+}
+
+fn relative_rmse(found: &[f32], truth: &[f32]) -> f64 {
+    let off = |(&a, &b): (&f32, &f32)| f64::from(a - b).powi(2);
+    let square: f64 = found.iter().zip(truth).map(off).sum();
+    (square / truth.len() as f64).sqrt() / mean(truth)
+}
+
+/// 27 648 receivers on walls, a light with sharp borders, contact with the floor: an error no larger than that of rays at
+/// every receiver by more than a fifth of the tolerance, by less than half of the receivers.
+#[test]
+fn few_receivers_tell_as_much_as_all_of_them() {
+    let scene = ball_in_a_box();
+    let tracer = Tracer::new(&scene);
+    let baked = spots(&scene, &tracer);
+    let receivers = receivers_in(&scene, PrimId(0), 1);
+    let engine = RaysEngine::new(&tracer, Some(source(&baked)), rays(256, 0.0));
+    let finer = RaysEngine::new(&tracer, Some(source(&baked)), rays(4096, 0.3));
+    let run = |engine| Run {
+        scene: &scene,
+        tracer: &tracer,
+        engine,
+        receivers: &receivers,
+        aovs: &[Aov::IrradianceIndirect, Aov::Visibility],
+    };
+    let truth = run(&finer).whole();
+    let whole = run(&engine).whole();
+    let found = run(&engine).interpolated(0.04, &|_| true);
+    let error = |results| {
+        let [found, truth] = [results, &truth].map(|all| values(all, Aov::IrradianceIndirect));
+        relative_rmse(found, truth)
+    };
+    let (of_all, of_few) = (error(&whole), error(&found.results));
+    assert!(
+        2 * found.gathered < receivers.len(),
+        "{} {of_all} {of_few}",
+        found.gathered
+    );
+    assert!(of_few < of_all + 0.004, "{of_few} {of_all}");
+    // A closed box: nothing is open, exactly.
+    let open = values(&found.results, Aov::Visibility);
+    assert!(open.iter().all(|&open| open == 0.0));
+    // Next to where the ball stands too.
+    let contact = Vec3::new(0.2, -1.0, 0.1);
+    let light = |results| values(results, Aov::IrradianceIndirect);
+    let brightness = mean(light(&truth));
+    for (i, place) in receivers.position.iter().enumerate() {
+        if place.distance(contact) < 0.3 {
+            let off = f64::from(light(&found.results)[3 * i] - light(&whole)[3 * i]);
+            assert!(
+                off.abs() < 0.1 * brightness,
+                "{place}: {off} of {brightness}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_same_bits_come_from_one_thread_and_from_eight() {
+    let scene = ball_in_a_box();
+    let tracer = Tracer::new(&scene);
+    let baked = spots(&scene, &tracer);
+    let receivers = receivers_in(&scene, PrimId(0), 2);
+    let engine = RaysEngine::new(&tracer, Some(source(&baked)), rays(64, 0.0));
+    let run = Run {
+        scene: &scene,
+        tracer: &tracer,
+        engine: &engine,
+        receivers: &receivers,
+        aovs: &[Aov::IrradianceIndirect],
+    };
+    let by = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("threads")
+            .install(|| run.interpolated(0.05, &|_| true))
+    };
+    let (one, eight) = (by(1), by(8));
+    assert_eq!(one.gathered, eight.gathered);
+    assert!(one == eight);
+}
+
+#[test]
+fn what_is_refused_is_gathered_at_every_receiver() {
+    let scene = ball_in_a_box();
+    let tracer = Tracer::new(&scene);
+    let baked = spots(&scene, &tracer);
+    let receivers = receivers_in(&scene, PrimId(0), 3);
+    let engine = RaysEngine::new(&tracer, Some(source(&baked)), rays(64, 0.0));
+    let run = Run {
+        scene: &scene,
+        tracer: &tracer,
+        engine: &engine,
+        receivers: &receivers,
+        aovs: &[Aov::IrradianceIndirect],
+    };
+    let found = run.interpolated(0.3, &|_| false);
+    assert!(found.is_refused && found.gathered >= receivers.len());
+    let whole = run.whole();
+    let [a, b] = [&found.results, &whole].map(|all| values(all, Aov::IrradianceIndirect));
+    assert!(a == b, "{}", relative_rmse(a, b));
+}
+
+/// The same receivers, and once more with their normals reversed.
+fn on_both_sides(above: &Receivers) -> Receivers {
+    let mut both = above.clone();
+    let turned = |normals: &[Vec3]| normals.iter().map(|normal| -normal).collect::<Vec<_>>();
+    both.position.extend_from_slice(&above.position);
+    both.prim.extend_from_slice(&above.prim);
+    both.surface.extend_from_slice(&above.surface);
+    both.normal.extend(turned(&above.normal));
+    both.geometric_normal
+        .extend(turned(&above.geometric_normal));
+    both
+}
+
+/// Two sheets a thousandth apart under a sky: their outer sides see all of it, their inner sides none.
+#[test]
+fn the_sides_of_thin_walls_do_not_speak_for_each_other() {
+    let mut builder = SceneBuilder::new();
+    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+    let corner = Vec3::new(-1.0, 0.0, -1.0);
+    let (u, v) = (2.0 * Vec3::Z, 2.0 * Vec3::X);
+    let upper = builder.mesh("upper", plate(corner, u, v, 64), gray);
+    builder.mesh("lower", plate(corner - Vec3::Y * 1e-3, u, v, 1), gray);
+    builder.sky(Vec3::ONE);
+    let scene = builder.build();
+    let tracer = Tracer::new(&scene);
+    let receivers = on_both_sides(&receivers_in(&scene, upper, 1));
+    let engine = RaysEngine::new(&tracer, None, rays(64, 0.0));
+    let run = Run {
+        scene: &scene,
+        tracer: &tracer,
+        engine: &engine,
+        receivers: &receivers,
+        aovs: &[
+            Aov::Occlusion,
+            Aov::BentNormal,
+            Aov::IrradianceEnvironment,
+            Aov::VisibilitySh,
+        ],
+    };
+    let found = run.interpolated(0.02, &|_| true);
+    let (occlusion, sky) = (
+        values(&found.results, Aov::Occlusion),
+        values(&found.results, Aov::IrradianceEnvironment),
+    );
+    for (i, normal) in receivers.normal.iter().enumerate() {
+        if normal.y > 0.0 {
+            assert_eq!(occlusion[i], 0.0);
+            assert!((sky[3 * i] - PI).abs() < 1e-4);
+        } else if receivers.position[i].abs().max_element() < 0.9 {
+            assert!(
+                occlusion[i] > 0.99 && sky[3 * i] < 0.03 * PI,
+                "{}",
+                occlusion[i]
+            );
+        }
+    }
+    let bent = values(&found.results, Aov::BentNormal);
+    assert!(
+        bent.chunks(3)
+            .all(|bent| (Vec3::from_slice(bent).length() - 1.0).abs() < 1e-3)
+    );
+    let order: Vec<Aov> = found
+        .results
+        .buffers
+        .iter()
+        .map(|buffer| buffer.aov)
+        .collect();
+    assert_eq!(order, run.aovs);
+    // The inner side has no room: all of it is gathered at, and little of the outer one.
+    assert!(
+        found.gathered < receivers.len() / 2 + receivers.len() / 20,
+        "{}",
+        found.gathered
+    );
+}
+
+/// What hangs on occlusion and reflected light, but is not interpolated itself, follows from them.
+#[test]
+fn parts_add_up() {
+    let mut builder = SceneBuilder::new();
+    let gray = builder.material(Vec3::new(0.2, 0.5, 0.8), Vec3::splat(0.1));
+    let floor = plate(Vec3::new(-2.0, 0.0, -2.0), 4.0 * Vec3::Z, 4.0 * Vec3::X, 64);
+    let floor = builder.mesh("floor", floor, gray);
+    let ball = bowl(Vec3::new(0.0, 0.5, 0.0), 0.5, PI, 24, Side::Outside);
+    builder.mesh("ball", ball, gray);
+    builder.sky(Vec3::new(1.0, 0.5, 0.25));
+    let scene = builder.build();
+    let tracer = Tracer::new(&scene);
+    let diagnostics = Diagnostics::default();
+    let shader = Shader::new(&scene, &diagnostics);
+    let lighting = Lighting::new(&shader, LightSamples::SURFEL, &diagnostics);
+    let settings = BakeSettings {
+        spacing: None,
+        surfels: 10_000,
+    };
+    let baked = bake(&shader, &tracer, &lighting, &settings, &diagnostics).expect("not cancelled");
+    let receivers = receivers_in(&scene, floor, 1);
+    let engine = RaysEngine::new(&tracer, Some(source(&baked)), rays(64, 0.0));
+    let aovs = [
+        Aov::IrradianceDirect,
+        Aov::IrradianceEnvironment,
+        Aov::IrradianceIndirect,
+        Aov::Irradiance,
+        Aov::DiffuseIndirect,
+        Aov::Visibility,
+        Aov::Color,
+    ];
+    let run = Run {
+        scene: &scene,
+        tracer: &tracer,
+        engine: &engine,
+        receivers: &receivers,
+        aovs: &aovs,
+    };
+    let found = run.interpolated(0.05, &|_| true).results;
+    let at = |aov: Aov, i: usize| Vec3::from_slice(&values(&found, aov)[aov.components() * i..]);
+    let albedo = Vec3::new(0.2, 0.5, 0.8);
+    for i in 0..receivers.len() {
+        let open = values(&found, Aov::Visibility)[i];
+        let sky = Vec3::new(1.0, 0.5, 0.25) * PI * open;
+        let (direct, indirect) = (at(Aov::IrradianceDirect, i), at(Aov::IrradianceIndirect, i));
+        let all = at(Aov::Irradiance, i);
+        assert!(at(Aov::IrradianceEnvironment, i).abs_diff_eq(sky, 1e-4));
+        assert!(all.abs_diff_eq(direct + sky + indirect, 1e-4), "{all}");
+        assert!(at(Aov::DiffuseIndirect, i).abs_diff_eq(albedo / PI * indirect, 1e-4));
+        let color = at(Aov::Color, i);
+        assert!(color.abs_diff_eq(albedo / PI * all + 0.1, 1e-4), "{color}");
+    }
+}
+
+#[test]
+fn few_receivers_and_kinds_that_hang_on_the_eye_are_all_gathered_at() {
+    let scene = ball_in_a_box();
+    let tracer = Tracer::new(&scene);
+    let baked = spots(&scene, &tracer);
+    let engine = RaysEngine::new(&tracer, Some(source(&baked)), rays(16, 0.0));
+    for (step, aov) in [(20, Aov::Visibility), (2, Aov::ErrorIrradianceIndirect)] {
+        let receivers = receivers_in(&scene, PrimId(0), step);
+        let run = Run {
+            scene: &scene,
+            tracer: &tracer,
+            engine: &engine,
+            receivers: &receivers,
+            aovs: &[aov],
+        };
+        let found = run.interpolated(0.05, &|_| false);
+        assert_eq!(found.gathered, receivers.len());
+        assert!(!found.is_refused && found.results == run.whole());
+    }
+}
