@@ -230,6 +230,41 @@ fn the_validators_of_usd_find_nothing_in_a_cloud() {
 }
 
 #[test]
+fn usd_knows_the_schema_of_clouds_and_every_attribute_that_is_written() {
+    const ASK: &str = "
+import os, sys, json
+os.environ['PXR_PLUGINPATH_NAME'] = sys.argv[2]
+from pxr import Usd, UsdGeom, UsdValidation
+schema = Usd.SchemaRegistry().FindAppliedAPIPrimDefinition('SurfluxCloudAPI')
+known = {name: str(schema.GetSchemaAttributeSpec(name).typeName) for name in schema.GetPropertyNames()}
+stage = Usd.Stage.Open(sys.argv[1])
+prim = stage.GetPrimAtPath('/root/surfels')
+written = {a.GetName(): str(a.GetTypeName()) for a in prim.GetAttributes() if a.GetName().startswith('surflux:')}
+mesh = UsdGeom.Mesh.Define(stage, '/mesh').GetPrim()
+kind = Usd.SchemaRegistry.GetTypeFromSchemaTypeName('SurfluxCloudAPI')
+print(json.dumps({'known': known, 'written': written, 'applied': 'SurfluxCloudAPI' in prim.GetAppliedSchemas(),
+    'can': [bool(p.CanApplyAPI(kind)) for p in [prim, mesh]]}))
+";
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("c.usdc");
+    let options = CloudOptions {
+        provenance: provenance(),
+        light_group: Some("key".to_owned()),
+    };
+    let info = stage_info(Path::new("a.usda"));
+    cloud::write(&some_cloud(3), &info, &path, &options).expect("writable");
+    let schemas = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/schemas/surflux"));
+    let answer = json(&run_python(ASK, &[&path, schemas]));
+    assert_eq!(answer["applied"], true);
+    assert_eq!(
+        answer["known"].as_object().map(|known| known.len()),
+        Some(4)
+    );
+    assert_eq!(answer["written"], answer["known"]);
+    assert_eq!(answer["can"], serde_json::json!([true, false]));
+}
+
+#[test]
 fn clouds_of_other_programs_are_understood() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("blender.usda");
