@@ -27,8 +27,8 @@ pub use info::{
     RenderSummary, StageSummary, Suspicion, TextureSummary, TreeEntry, info,
 };
 pub use job::{
-    BakeJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OcclusionKind, OutputJob, PointsJob,
-    Purposed, RenderJob, StageJob, VerifyJob,
+    BakeJob, BakeView, Dome, EngineChoice, GatherJob, InfoJob, Job, OcclusionKind, OutputJob, Part,
+    PointsJob, Purposed, RenderJob, StageJob, VerifyJob,
 };
 pub use report::{Counts, ErrorReport, ReadReport, Report, Seconds};
 pub use validate::{CheckSummary, ValidationReport, validate};
