@@ -256,6 +256,10 @@ pub(super) struct BakeArgs {
     /// AOV to show as displayColor; `none` leaves it alone. Default: the first one.
     #[arg(long, value_name = "AOV|none")]
     pub(super) display_color: Option<String>,
+    /// Where `specular_indirect` and `reflection_occlusion` are seen from: a direction to look along (world space), or a
+    /// camera (path or name).
+    #[arg(long, value_name = "X,Y,Z|CAMERA", allow_hyphen_values = true)]
+    pub(super) view: Option<String>,
 }
 
 #[derive(Debug, Args)]

@@ -7,9 +7,9 @@ use super::args::{
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
-    BakeJob, Bounces, ConvertJob, Dome, Encoding, EngineChoice, Falloff, GatherJob, InfoJob, Job,
-    MapsSettings, OcclusionKind, OutputJob, PointsJob, Purposed, RenderJob, StageJob, VerifyJob,
-    ViewJob,
+    BakeJob, BakeView, Bounces, ConvertJob, Dome, Encoding, EngineChoice, Falloff, GatherJob,
+    InfoJob, Job, MapsSettings, OcclusionKind, OutputJob, PointsJob, Purposed, RenderJob, StageJob,
+    VerifyJob, ViewJob,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::{Purpose, UpAxis};
@@ -264,6 +264,13 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
     if let Some(aov) = display_color.filter(|aov| !gather.aovs.contains(aov)) {
         gather.aovs.push(aov);
     }
+    let view = args.view.as_deref().map(bake_view).transpose()?;
+    let glossy = gather.aovs.iter().find(|aov| aov.needs_gloss());
+    if let Some(aov) = glossy.filter(|_| view.is_none()) {
+        bail!(
+            "--aov {aov}: a bake has no eye to reflect to (add --view X,Y,Z or --view CAMERA, or use render)"
+        );
+    }
     Ok(BakeJob {
         stage: stage(args.stage, command_line)?,
         output: output(args.output, USD_EXTENSIONS)?,
@@ -278,7 +285,23 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
             InstancesName::Skip => InstancePolicy::Skip,
         },
         display_color,
+        view,
     })
+}
+
+/// A direction to look along, or a camera.
+fn bake_view(text: &str) -> anyhow::Result<BakeView> {
+    let parts: Vec<&str> = text.split(',').map(str::trim).collect();
+    let [x, y, z] = parts[..] else {
+        return Ok(BakeView::Camera(text.to_owned()));
+    };
+    let number = |text: &str| {
+        text.parse::<f32>()
+            .with_context(|| format!("--view: {text:?} is no number"))
+    };
+    let along = glam::Vec3::new(number(x)?, number(y)?, number(z)?).try_normalize();
+    let along = along.context("--view: wanted a direction that is not 0,0,0")?;
+    Ok(BakeView::Along(along))
 }
 
 fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob> {

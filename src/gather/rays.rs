@@ -5,6 +5,7 @@
 //! receiver's own normal. Both are the same everywhere, so there is error but no noise, and no seams.
 
 pub mod cone;
+pub mod lobe;
 mod shared;
 mod stand;
 
@@ -17,6 +18,7 @@ use crate::surfels::{DiceMap, SurfelCloud};
 use crate::trace::Tracer;
 use cone::Cone;
 use glam::{Vec2, Vec3};
+use lobe::Lobes;
 use shared::Looks;
 use stand::Stand;
 use std::f32::consts::PI;
@@ -84,11 +86,11 @@ pub struct RaysEngine<'a> {
     query: &'a dyn RayQuery,
     source: Option<RadianceSource<'a>>,
     max_distance: f32,
-    pattern: Pattern,
+    pattern: Pattern<'a>,
 }
 
 #[derive(Debug, Clone)]
-enum Pattern {
+enum Pattern<'a> {
     /// Cosine-distributed directions about +Z, put about each receiver's normal in a frame that follows it
     /// continuously ([`sequence::transported_frame`]).
     Local(Vec<Vec3>),
@@ -96,9 +98,11 @@ enum Pattern {
     Shared(Vec<Vec3>),
     /// Directions of a cone about +Z, put about each receiver's axis.
     Cone(Cone, Vec<Vec3>),
+    /// Points that lobes make directions of.
+    Lobes(Lobes<'a>, Vec<Vec2>),
 }
 
-impl Pattern {
+impl Pattern<'_> {
     fn of(settings: RaysSettings) -> Self {
         let count = settings.rays.max(1);
         if let Some(cone) = settings.cone {
@@ -120,6 +124,7 @@ impl Pattern {
         match self {
             Self::Local(pattern) | Self::Cone(_, pattern) => pattern.len(),
             Self::Shared(directions) => directions.len() / 2,
+            Self::Lobes(_, points) => points.len(),
         }
     }
 }
@@ -136,6 +141,16 @@ impl<'a> RaysEngine<'a> {
         settings: RaysSettings,
     ) -> Self {
         Self::with_query(tracer, source, settings)
+    }
+
+    /// The same about what receivers reflect towards the eye: the hemispheres hold the light that does, not all of it.
+    #[must_use]
+    pub fn of_lobes(self, lobes: Lobes<'a>, settings: RaysSettings) -> Self {
+        let points = lobe::points(settings.rays.max(1), settings.turn);
+        Self {
+            pattern: Pattern::Lobes(lobes, points),
+            ..self
+        }
     }
 
     fn with_query(
@@ -216,6 +231,12 @@ impl Engine for RaysEngine<'_> {
             Pattern::Cone(cone, pattern) => {
                 for i in block {
                     self.fill_cone((cone, pattern), (receivers, i), scratch);
+                    visit(i, scratch);
+                }
+            }
+            Pattern::Lobes(lobes, points) => {
+                for i in block {
+                    self.fill_lobes((lobes, points), (receivers, i), scratch);
                     visit(i, scratch);
                 }
             }

@@ -63,6 +63,7 @@ pub struct Gathering<'a> {
 pub fn pays(receivers: &Receivers, aovs: &[Aov]) -> bool {
     let is_own = |aov: &Aov| {
         aov.error_of().is_some()
+            || aov.needs_gloss()
             || matches!(aov, Aov::ReflectionOcclusion | Aov::IlluminationDirection)
     };
     receivers.len() >= FEWEST && !aovs.iter().any(is_own)

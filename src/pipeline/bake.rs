@@ -1,16 +1,19 @@
 //! `surflux bake`: light at the points of meshes, as primvars.
 
 use super::gather::{gather, record};
-use super::job::BakeJob;
+use super::job::{BakeJob, BakeView};
 use super::report::{Report, peak_memory_bytes, timed};
+use super::view::camera;
 use super::world::{Needs, World, with_world};
 use super::{Error, outputs, provenance};
 use crate::diagnostics::Diagnostics;
-use crate::receivers::primvar;
+use crate::receivers::{Receivers, primvar};
 use crate::results::{Results, Target};
-use crate::scene::PrimId;
+use crate::scene::camera::Projection;
+use crate::scene::{PrimId, Scene};
 use crate::stage;
 use crate::writers::usd::layer::{BakeOptions, LayerWriter};
+use glam::{DVec3, Vec3};
 use std::path::{Path, PathBuf};
 
 pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
@@ -89,9 +92,12 @@ fn bake(
 ) -> Result<(Target, Results), Error> {
     let scene = world.scene();
     let prims: Vec<PrimId> = (0_u32..).map(PrimId).take(scene.prims.len()).collect();
-    let receivers = timed(&mut report.seconds.gather, || {
+    let mut receivers = timed(&mut report.seconds.gather, || {
         primvar::place(scene, &prims, job.interpolation)
     });
+    if let Some(view) = &job.view {
+        look_from(view, scene, &mut receivers)?;
+    }
     if receivers.is_empty() {
         return Err(Error::NothingToBake {
             path: scene.stage.path.clone(),
@@ -105,4 +111,23 @@ fn bake(
         (report, diagnostics),
     )?;
     Ok((receivers.target, results))
+}
+
+/// Tell `receivers` where the eye is.
+fn look_from(view: &BakeView, scene: &Scene, receivers: &mut Receivers) -> Result<(), Error> {
+    receivers.toward_eye = match view {
+        BakeView::Along(direction) => vec![-*direction; receivers.len()],
+        BakeView::Camera(name) => {
+            let camera = camera(scene, Some(name))?;
+            let along = camera.world_from_camera.transform_vector3(DVec3::NEG_Z);
+            let eye = camera.world_from_camera.translation;
+            let toward = |position: &Vec3| match camera.projection {
+                Projection::Perspective => (eye - scene.origin - position.as_dvec3()).as_vec3(),
+                Projection::Orthographic => -along.as_vec3(),
+            };
+            let unit = |position| toward(position).normalize_or(Vec3::Y);
+            receivers.position.iter().map(unit).collect()
+        }
+    };
+    Ok(())
 }

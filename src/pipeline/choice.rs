@@ -45,7 +45,7 @@ impl Choice {
         let job = stand.job;
         Self {
             engine: match job.engine {
-                _ if stand.cone.is_some() => Chosen::Rays(job.rays),
+                _ if stand.is_partial() => Chosen::Rays(job.rays),
                 EngineChoice::Auto | EngineChoice::Rays => Chosen::Rays(job.rays),
                 EngineChoice::Raster => {
                     Chosen::Raster((job.max_solid_angle, job.raster_resolution))
@@ -212,7 +212,7 @@ pub(super) fn choose(
         outcome: None,
     };
     let by_name =
-        stand.cone.is_none() && matches!(job.engine, EngineChoice::Raster | EngineChoice::Paper);
+        !stand.is_partial() && matches!(job.engine, EngineChoice::Raster | EngineChoice::Paper);
     let Some(tolerance) = job.tolerance.filter(|_| !by_name) else {
         return Ok(known(Choice::as_asked(stand)));
     };
@@ -255,7 +255,8 @@ fn rivals(stand: &Stand<'_>) -> Vec<Chosen> {
     // Without surfels there is nothing to rasterize, and dicing for it would cost more than rays do.
     // Nor do these engines know their error at a receiver.
     let asks_error = stand.aovs.iter().any(|aov| aov.error_of().is_some());
-    if stand.job.engine != EngineChoice::Auto || stand.surfel_count() == 0 || asks_error {
+    let is_whole = stand.job.engine == EngineChoice::Auto && !stand.is_partial();
+    if !is_whole || stand.surfel_count() == 0 || asks_error {
         return Vec::new();
     }
     let lighting = stand.scene().lighting;
@@ -312,7 +313,7 @@ const SHARE_OF_RAYS: f64 = 0.95;
 /// True if receivers that rays have seen may speak for others.
 fn interpolates(stand: &Stand<'_>) -> bool {
     let pays = interpolate::pays(stand.receivers, stand.aovs);
-    stand.job.interpolate && stand.cone.is_none() && pays
+    stand.job.interpolate && !stand.is_partial() && pays
 }
 
 /// Let a pilot look at `stand`'s receivers.
@@ -342,7 +343,7 @@ pub(super) fn look(
         };
         Box::new(stand.rays_with(settings)) as Box<dyn Method>
     };
-    let is_sky = stand.cone.is_none() && stand.aovs.iter().any(|&aov| maps::supports(aov));
+    let is_sky = !stand.is_partial() && stand.aovs.iter().any(|&aov| maps::supports(aov));
     let pilot = Pilot {
         scenes: LightScenes {
             run: stand.scene(),

@@ -129,6 +129,7 @@ fn read_usd(job: &ConvertJob, diagnostics: &Diagnostics) -> Result<Read, Error> 
     let needs = Needs {
         materials: true,
         lights: false,
+        gloss: true,
     };
     let time = job.stage.frames.first().copied();
     let settings = ReadSettings {

@@ -3,7 +3,7 @@
 use super::Error;
 use super::choice::{self, Chosen, Found};
 use super::interpolated::InterpolatedMethod;
-use super::job::{EngineChoice, GatherJob};
+use super::job::{EngineChoice, GatherJob, Part};
 use super::maps::{self, MapsKnobs};
 use super::raster;
 use super::report::{Report, timed};
@@ -13,7 +13,6 @@ use super::world::World;
 use crate::bake::{self, BakeSettings, Baked};
 use crate::bounce::{BounceClouds, Bounces, CoarseCloud};
 use crate::diagnostics::Diagnostics;
-use crate::gather::rays::cone::Cone;
 use crate::gather::{
     self, GatherScene, HitLight, LoadedCloud, RadianceSource, RaysEngine, RaysFactory,
     RaysSettings, Reference,
@@ -116,7 +115,7 @@ pub(super) fn relight<'a>(
     HitLight::new(world.shader, &world.tracer, lighting, &baked.dice)
 }
 
-/// Compute `aovs` at `receivers`: kinds of occlusion each by rays of their own, all others by one gather.
+/// Compute `aovs` at `receivers`: kinds of occlusion, and gloss, each by rays of their own, all others by one gather.
 pub(super) fn gather(
     world: &World<'_>,
     receivers: &Receivers,
@@ -124,29 +123,29 @@ pub(super) fn gather(
     job: &GatherJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Results, Error> {
-    let mut groups: Vec<(Option<Cone>, Vec<Aov>)> = Vec::new();
+    let mut groups: Vec<(Part, Vec<Aov>)> = Vec::new();
     for &aov in aovs {
-        let cone = job.occlusion.cone_of(aov);
-        match groups.iter_mut().find(|(known, _)| *known == cone) {
+        let part = job.occlusion.part_of(aov);
+        match groups.iter_mut().find(|(known, _)| *known == part) {
             Some((_, group)) => group.push(aov),
-            None => groups.push((cone, vec![aov])),
+            None => groups.push((part, vec![aov])),
         }
     }
     // What the report tells last is what most asks for.
-    groups.sort_by_key(|(cone, _)| cone.is_none());
+    groups.sort_by_key(|(part, _)| *part == Part::Whole);
     let mut all = Results::default();
-    for (cone, group) in &groups {
+    for (part, group) in &groups {
         let run = (&mut *report, diagnostics);
-        let found = gather_group(world, (receivers, *cone), group, job, run)?;
+        let found = gather_group(world, (receivers, *part), group, job, run)?;
         all.buffers.extend(found.buffers);
     }
     Ok(all.in_order_of(aovs))
 }
 
-/// Compute `aovs`, which all ask about the same cone of directions.
+/// Compute `aovs`, which all ask about the same part of the hemisphere.
 fn gather_group(
     world: &World<'_>,
-    (receivers, cone): (&Receivers, Option<Cone>),
+    (receivers, part): (&Receivers, Part),
     aovs: &[Aov],
     job: &GatherJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
@@ -155,7 +154,7 @@ fn gather_group(
     report.counts.gathered = report.counts.receivers;
     let lit = spacing::lit(world, (receivers, aovs), job, (&mut *report, diagnostics))?;
     report.counts.surfels = report.counts.surfels.max(lit.light.len());
-    let stand = Stand::new(world, &lit, receivers, aovs, job).in_cone(cone);
+    let stand = Stand::new(world, &lit, receivers, aovs, job).about(part);
     let found = choice::choose(&stand, report, diagnostics)?;
     let lighting = found.choice.lighting(world, diagnostics);
     let scene = GatherScene {

@@ -109,6 +109,17 @@ pub struct OcclusionKind {
     pub falloff: Falloff,
 }
 
+/// Part of the hemisphere above a receiver.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Part {
+    /// All of it.
+    Whole,
+    /// A cone.
+    Cone(Cone),
+    /// What a glossy surface reflects towards the eye.
+    Lobes,
+}
+
 impl Default for OcclusionKind {
     fn default() -> Self {
         Self {
@@ -122,7 +133,15 @@ impl OcclusionKind {
     /// Half-angle of the cone of reflections where none is asked for, radians: 20°.
     pub const REFLECTION: f32 = 20.0 * PI / 180.0;
 
-    /// The cone that `aov` asks about; `None` where it asks about the whole hemisphere.
+    /// The part of the hemisphere that `aov` asks about.
+    pub fn part_of(&self, aov: Aov) -> Part {
+        if aov.needs_gloss() {
+            return Part::Lobes;
+        }
+        self.cone_of(aov).map_or(Part::Whole, Part::Cone)
+    }
+
+    /// The cone that `aov` asks about, if it does.
     pub fn cone_of(&self, aov: Aov) -> Option<Cone> {
         let falloff = self.falloff;
         let is_whole = self.half_angle.is_none() && falloff == Falloff::None;
@@ -204,6 +223,17 @@ pub struct BakeJob {
     pub instances: crate::writers::usd::layer::InstancePolicy,
     /// Shown as displayColor.
     pub display_color: Option<Aov>,
+    /// Where glossy surfaces are looked at from.
+    pub view: Option<BakeView>,
+}
+
+/// The eye of a bake.
+#[derive(Debug, Clone, PartialEq)]
+pub enum BakeView {
+    /// It looks along this direction from far away; unit, world space.
+    Along(glam::Vec3),
+    /// That of a camera: path or name.
+    Camera(String),
 }
 
 /// `surflux render`.

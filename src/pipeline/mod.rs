@@ -30,8 +30,8 @@ pub use info::{
     RenderSummary, StageSummary, Suspicion, TextureSummary, TreeEntry, info,
 };
 pub use job::{
-    BakeJob, ConvertJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OcclusionKind, OutputJob,
-    PointsJob, Purposed, RenderJob, StageJob, VerifyJob, ViewJob,
+    BakeJob, BakeView, ConvertJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OcclusionKind,
+    OutputJob, Part, PointsJob, Purposed, RenderJob, StageJob, VerifyJob, ViewJob,
 };
 pub use report::{Counts, ErrorReport, ReadReport, Report, Seconds};
 pub use validate::{CheckSummary, ValidationReport, validate};

@@ -86,6 +86,7 @@ fn read(
     let nothing = Needs {
         materials: false,
         lights: false,
+        gloss: false,
     };
     let settings = ReadSettings {
         all_primvars: true,

@@ -2,7 +2,7 @@
 
 use super::gather::Light;
 use super::interpolated::InterpolatedMethod;
-use super::job::GatherJob;
+use super::job::{GatherJob, Part};
 use super::maps::{MapsKnobs, MapsMethod, Promise};
 use super::raster::RasterMethod;
 use super::spacing::{Lit, Relit};
@@ -10,7 +10,7 @@ use super::world::World;
 use crate::bounce::Bounces;
 use crate::gather::maps::MapsPlan;
 use crate::gather::paper::{PaperEngine, PaperSettings};
-use crate::gather::rays::cone::Cone;
+use crate::gather::rays::lobe::Lobes;
 use crate::gather::{GatherScene, HitLight, RadianceSource, RaysEngine, RaysSettings};
 use crate::lighting::Lighting;
 use crate::octree::Octree;
@@ -35,8 +35,8 @@ pub(super) struct Stand<'a> {
     source: Option<RadianceSource<'a>>,
     octree: OnceCell<Octree>,
     maps_plan: OnceCell<MapsPlan<'a>>,
-    /// Part of the hemisphere that is asked about, by rays alone.
-    pub(super) cone: Option<Cone>,
+    /// Part of the hemisphere that is asked about: by rays alone, if it is not the whole.
+    pub(super) part: Part,
     pub(super) receivers: &'a Receivers,
     pub(super) aovs: &'a [Aov],
     pub(super) job: &'a GatherJob,
@@ -61,16 +61,21 @@ impl<'a> Stand<'a> {
             },
             octree: OnceCell::new(),
             maps_plan: OnceCell::new(),
-            cone: None,
+            part: Part::Whole,
             receivers,
             aovs,
             job,
         }
     }
 
-    /// The same, asked about `cone`.
-    pub(super) fn in_cone(self, cone: Option<Cone>) -> Self {
-        Self { cone, ..self }
+    /// The same, asked about `part`.
+    pub(super) fn about(self, part: Part) -> Self {
+        Self { part, ..self }
+    }
+
+    /// True if only rays know about the part that is asked about.
+    pub(super) fn is_partial(&self) -> bool {
+        self.part != Part::Whole
     }
 
     pub(super) fn world(&self) -> &'a World<'a> {
@@ -98,21 +103,28 @@ impl<'a> Stand<'a> {
     }
 
     pub(super) fn rays_settings(&self, rays: u32) -> RaysSettings {
-        let least = if self.cone.is_some() {
-            LEAST_CONE_RAYS
-        } else {
-            1
+        let (cone, least) = match self.part {
+            Part::Cone(cone) => (Some(cone), LEAST_CONE_RAYS),
+            Part::Whole | Part::Lobes => (None, 1),
         };
         RaysSettings {
             rays: rays.max(least),
             max_distance: self.job.max_distance,
-            cone: self.cone,
+            cone,
             ..RaysSettings::default()
         }
     }
 
     pub(super) fn rays_with(&self, settings: RaysSettings) -> RaysEngine<'a> {
-        RaysEngine::new(&self.world.tracer, self.source.clone(), settings)
+        let engine = RaysEngine::new(&self.world.tracer, self.source.clone(), settings);
+        if self.part != Part::Lobes {
+            return engine;
+        }
+        let lobes = Lobes {
+            shader: self.world.shader,
+            lighting: Some(&self.world.lighting),
+        };
+        engine.of_lobes(lobes, settings)
     }
 
     /// Rays that find light anew at whatever they hit: truth for one reflection, but for noise. `None` where a few rays

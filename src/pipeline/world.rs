@@ -19,6 +19,8 @@ pub(super) struct Needs {
     pub materials: bool,
     /// Lights.
     pub lights: bool,
+    /// What is glossy about materials.
+    pub gloss: bool,
 }
 
 impl Needs {
@@ -26,6 +28,7 @@ impl Needs {
     pub(super) const ALL: Self = Self {
         materials: true,
         lights: true,
+        gloss: true,
     };
 
     /// What `aovs` need: occlusion reads neither materials nor lights.
@@ -36,6 +39,7 @@ impl Needs {
         Self {
             materials: light || aovs.iter().any(|aov| aov.needs_material()),
             lights: light,
+            gloss: aovs.iter().any(|aov| aov.needs_gloss()),
         }
     }
 }
@@ -95,7 +99,13 @@ pub(super) fn with_world<T>(
             path: scene.stage.path,
         });
     }
-    let shader = timed(&mut seconds, || Shader::new(&scene, diagnostics));
+    let shader = timed(&mut seconds, || {
+        if needs.gloss {
+            Shader::glossy(&scene, diagnostics)
+        } else {
+            Shader::new(&scene, diagnostics)
+        }
+    });
     let world = timed(&mut seconds, || World {
         tracer: Tracer::new(&scene),
         lighting: Lighting::new(&shader, LightSamples::default(), diagnostics),

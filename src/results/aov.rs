@@ -79,6 +79,8 @@ aovs! {
     DiffuseDirect, "diffuse_direct", Color;
     /// albedo/π · indirect irradiance.
     DiffuseIndirect, "diffuse_indirect", Color;
+    /// Glossy reflection of surfaces and of the environment towards the eye, outgoing radiance. PBGI §6.2.
+    SpecularIndirect, "specular_indirect", Color;
     /// Diffuse albedo.
     DiffuseAlbedo, "diffuse_albedo", Color;
     /// Emitted radiance of the surface itself.
@@ -163,6 +165,7 @@ impl Aov {
             Self::IrradianceIndirect
                 | Self::Irradiance
                 | Self::DiffuseIndirect
+                | Self::SpecularIndirect
                 | Self::Color
                 | Self::ErrorIrradianceIndirect
         )
@@ -176,6 +179,11 @@ impl Aov {
             Self::ErrorIrradianceIndirect => Some(Self::IrradianceIndirect),
             _ => None,
         }
+    }
+
+    /// True if it needs what reflects glossily at the receiver, and from where that is looked at.
+    pub fn needs_gloss(self) -> bool {
+        self == Self::SpecularIndirect
     }
 
     /// True if it needs the hemisphere above the receiver at all.
@@ -197,7 +205,7 @@ impl Aov {
                 | Self::DiffuseAlbedo
                 | Self::Emission
                 | Self::Color
-        )
+        ) || self.needs_gloss()
     }
 }
 

@@ -1,5 +1,6 @@
 //! A material with its textures found: evaluates inputs at surface points.
 
+use super::gloss::{Gloss, Lobe};
 use super::textures::{TextureId, Textures};
 use super::{Surface, SurfacePoint, clamped};
 use crate::scene::{Input, Material, Mesh, Prim, TextureRead};
@@ -16,6 +17,11 @@ pub(super) struct Compiled<'a> {
     metallic: Source<'a>,
     opacity: Source<'a>,
     threshold: Source<'a>,
+    roughness: Source<'a>,
+    ior: Source<'a>,
+    specular_color: Source<'a>,
+    clearcoat: Source<'a>,
+    clearcoat_roughness: Source<'a>,
     specular_workflow: bool,
 }
 
@@ -51,6 +57,11 @@ impl<'a> Compiled<'a> {
             metallic: source(&material.metallic),
             opacity: source(&material.opacity),
             threshold: source(&material.opacity_threshold),
+            roughness: source(&material.roughness),
+            ior: source(&material.ior),
+            specular_color: source(&material.specular_color),
+            clearcoat: source(&material.clearcoat),
+            clearcoat_roughness: source(&material.clearcoat_roughness),
             specular_workflow: material.specular_workflow,
         }
     }
@@ -101,6 +112,43 @@ impl<'a> Compiled<'a> {
             emission: Vec3::from_array(emission.to_array().map(radiance)) * opacity,
             opacity,
         }
+    }
+
+    /// Lobes as Storm has them: of dielectrics by their index of refraction, of metals in their color up to the edge.
+    pub(super) fn gloss(
+        &self,
+        textures: &Textures,
+        mesh: &Mesh,
+        prim: &Prim,
+        point: &SurfacePoint,
+    ) -> Gloss {
+        let place = Place {
+            textures,
+            mesh,
+            prim,
+            point,
+        };
+        let number = |source: &Source<'_>| clamped(source.at(&place).x);
+        let color = |source: &Source<'_>| {
+            Vec3::from_array(source.at(&place).truncate().to_array().map(clamped))
+        };
+        let opacity = self.opacity(&place);
+        let roughness = number(&self.roughness);
+        let mut base = if self.specular_workflow {
+            Lobe::of_color(color(&self.specular_color), roughness)
+        } else {
+            let (metallic, tint) = (number(&self.metallic), color(&self.diffuse));
+            let edge = Vec3::ONE.lerp(tint, metallic);
+            let f0 = (edge * reflectance(self.ior.at(&place).x)).lerp(edge, metallic);
+            Lobe::new(f0, edge, roughness)
+        };
+        base.f0 *= opacity;
+        base.f90 *= opacity;
+        let amount = number(&self.clearcoat) * opacity;
+        let coat_f0 = reflectance(self.ior.at(&place).x) * amount;
+        let coat_roughness = number(&self.clearcoat_roughness);
+        let coat = Lobe::new(coat_f0, Vec3::splat(amount), coat_roughness);
+        Gloss { base, coat }
     }
 
     fn opacity(&self, place: &Place<'_>) -> f32 {
@@ -161,6 +209,12 @@ impl<'a> Source<'a> {
             .sum();
         covered / (count * count)
     }
+}
+
+/// What a surface of this index of refraction reflects straight on; of what is no index, nothing.
+pub(super) fn reflectance(ior: f32) -> Vec3 {
+    let ratio = (1.0 - ior) / (1.0 + ior);
+    Vec3::splat(clamped(ratio * ratio))
 }
 
 /// The value that the connected output gives: all of it, or one channel spread over rgb.

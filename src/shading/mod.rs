@@ -1,14 +1,16 @@
 //! Material and textures at a point of a surface: albedo and emission, averaged over a footprint.
 
+pub mod gloss;
 mod material;
 mod textures;
 
 use crate::diagnostics::Diagnostics;
 use crate::scene::{MaterialId, Prim, PrimId, Scene};
 use glam::Vec3;
+use gloss::{Gloss, Lobe};
 use material::Compiled;
 use std::path::Path;
-use textures::Textures;
+use textures::{Reads, Textures};
 
 /// Albedo of surfaces that have neither a material nor `displayColor`: UsdPreviewSurface's default.
 const NEUTRAL: Vec3 = Vec3::splat(0.18);
@@ -49,9 +51,18 @@ pub struct Shader<'a> {
 }
 
 impl<'a> Shader<'a> {
-    /// Decode the textures that the scene's prims use. Missing or broken files become warnings naming file and
-    /// material, and their reads give the fallback value.
+    /// Decode the textures that diffuse surfaces and emission of the scene's prims read. Missing or broken files become
+    /// warnings naming file and material, and their reads give the fallback value.
     pub fn new(scene: &'a Scene, diagnostics: &Diagnostics) -> Self {
+        Self::with_textures(scene, Reads::Diffuse, diagnostics)
+    }
+
+    /// The same, and the textures that [`Self::gloss`] reads; without them these give their fallbacks.
+    pub fn glossy(scene: &'a Scene, diagnostics: &Diagnostics) -> Self {
+        Self::with_textures(scene, Reads::Gloss, diagnostics)
+    }
+
+    fn with_textures(scene: &'a Scene, reads: Reads, diagnostics: &Diagnostics) -> Self {
         let used = materials_in_use(scene);
         let in_use = || {
             let materials = scene.materials.iter().zip(&used);
@@ -59,7 +70,7 @@ impl<'a> Shader<'a> {
                 .filter(|(_, used)| **used)
                 .map(|(material, _)| material)
         };
-        let textures = Textures::load(in_use(), diagnostics);
+        let textures = Textures::load(in_use(), reads, diagnostics);
         let materials = scene.materials.iter().zip(&used);
         Self {
             scene,
@@ -67,6 +78,18 @@ impl<'a> Shader<'a> {
                 .map(|(material, used)| used.then(|| Compiled::new(material, &textures)))
                 .collect(),
             textures,
+        }
+    }
+
+    /// What reflects glossily at `point`. Prims without material: what UsdPreviewSurface does by default.
+    pub fn gloss(&self, point: &SurfacePoint) -> Gloss {
+        let prim = &self.scene.prims[point.prim.index()];
+        match self.material_at(prim, point.triangle) {
+            Some(material) => material.gloss(&self.textures, self.scene.mesh_of(prim), prim, point),
+            None => Gloss {
+                base: Lobe::new(material::reflectance(1.5), Vec3::ONE, 0.5),
+                coat: Lobe::NONE,
+            },
         }
     }
 

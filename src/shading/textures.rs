@@ -18,19 +18,39 @@ pub(super) struct Textures {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct TextureId(usize);
 
-/// Textures that `material`'s diffuse surface and emission read.
-fn reads(material: &Material) -> impl Iterator<Item = &TextureRead> {
-    let inputs = [
+/// Which inputs have their textures decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Reads {
+    /// Those of diffuse surfaces and emission.
+    Diffuse,
+    /// Those of glossy ones too.
+    Gloss,
+}
+
+/// Textures that `material` reads.
+fn reads(material: &Material, reads: Reads) -> impl Iterator<Item = &TextureRead> {
+    let diffuse = [
         &material.diffuse_color,
         &material.emissive_color,
         &material.metallic,
         &material.opacity,
         &material.opacity_threshold,
     ];
-    inputs.into_iter().filter_map(|input| match input {
-        Input::Texture(read) => Some(read.as_ref()),
-        _ => None,
-    })
+    let gloss = [
+        &material.roughness,
+        &material.specular_color,
+        &material.ior,
+        &material.clearcoat,
+        &material.clearcoat_roughness,
+    ];
+    let gloss = gloss.into_iter().filter(move |_| reads == Reads::Gloss);
+    diffuse
+        .into_iter()
+        .chain(gloss)
+        .filter_map(|input| match input {
+            Input::Texture(read) => Some(read.as_ref()),
+            _ => None,
+        })
 }
 
 fn key(read: &TextureRead) -> (PathBuf, u8) {
@@ -46,11 +66,15 @@ impl Textures {
     /// Decode what `materials` read. Files that cannot be decoded are warnings, one for each material.
     pub(super) fn load<'m>(
         materials: impl Iterator<Item = &'m Material> + Clone,
+        wanted: Reads,
         diagnostics: &Diagnostics,
     ) -> Self {
         let mut by_file = HashMap::new();
         let mut files: Vec<&TextureRead> = Vec::new();
-        for read in materials.clone().flat_map(reads) {
+        for read in materials
+            .clone()
+            .flat_map(|material| reads(material, wanted))
+        {
             by_file.entry(key(read)).or_insert_with(|| {
                 files.push(read);
                 files.len() - 1
@@ -64,7 +88,7 @@ impl Textures {
         };
         let loaded: Vec<Result<Texture, Error>> = files.par_iter().map(load).collect();
         for material in materials {
-            for read in reads(material) {
+            for read in reads(material, wanted) {
                 warn(material, read, &loaded[by_file[&key(read)]], diagnostics);
             }
         }

@@ -58,7 +58,8 @@ pub fn write(aov: Aov, seen: &Seen<'_>, out: &mut [f32]) {
         Aov::VisibilitySh => out.copy_from_slice(&harmonics::visibility(seen).0),
         Aov::IrradianceDirect => put(out, seen.direct),
         Aov::IrradianceEnvironment => put(out, seen.environment),
-        Aov::IrradianceIndirect => put(out, seen.indirect),
+        // A lobe's directions carry what it reflects of them: their sum is all of it.
+        Aov::IrradianceIndirect | Aov::SpecularIndirect => put(out, seen.indirect),
         Aov::Irradiance => put(out, irradiance::total(seen)),
         Aov::DiffuseDirect => put(out, diffuse::direct(seen)),
         Aov::DiffuseIndirect => put(out, diffuse::indirect(seen)),

@@ -447,6 +447,8 @@ fn carrier(aov: Aov) -> Aov {
     match aov {
         Aov::Irradiance => Aov::IrradianceIndirect,
         Aov::Color => Aov::DiffuseIndirect,
+        // What a lobe sees is part of what the hemisphere does.
+        Aov::SpecularIndirect => Aov::IrradianceIndirect,
         other => other,
     }
 }

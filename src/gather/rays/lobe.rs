@@ -1,0 +1,75 @@
+//! What a glossy surface reflects towards the eye: rays spread as its lobes are. PBGI §6.2.
+
+use super::{Hemisphere, RaysEngine, Stand};
+use crate::lighting::Lighting;
+use crate::math::sequence;
+use crate::receivers::Receivers;
+use crate::shading::Shader;
+use glam::{Vec2, Vec3};
+
+/// What lobes need besides rays.
+#[derive(Debug, Clone, Copy)]
+pub struct Lobes<'a> {
+    /// Tells what reflects at receivers.
+    pub shader: &'a Shader<'a>,
+    /// Its environment is seen where nothing is; `None`: black.
+    pub lighting: Option<&'a Lighting>,
+}
+
+/// `count` points in [0, 1)², turned by `turn` turns.
+pub(super) fn points(count: u32, turn: f32) -> Vec<Vec2> {
+    let point = |i| {
+        let point = sequence::fibonacci(i, count);
+        Vec2::new(point.x, (point.y + turn).rem_euclid(1.0))
+    };
+    (0..count).map(point).collect()
+}
+
+impl RaysEngine<'_> {
+    /// What receiver `i` reflects towards the eye, the same rays for every lobe: the light of a direction, in `reflected`, is
+    /// already times what a lobe makes of it. Nothing where the eye does not see the receiver's front, or there is none.
+    pub(super) fn fill_lobes(
+        &self,
+        (lobes, points): (&Lobes<'_>, &[Vec2]),
+        (receivers, i): (&Receivers, usize),
+        seen: &mut Hemisphere,
+    ) {
+        seen.clear();
+        let normal = receivers.normal[i];
+        let Some(&eye) = receivers.toward_eye.get(i) else {
+            return;
+        };
+        let frame = sequence::transported_frame(normal);
+        let view = Vec3::new(
+            eye.dot(frame.tangent),
+            eye.dot(frame.bitangent),
+            eye.dot(normal),
+        );
+        if view.z <= 0.0 {
+            return;
+        }
+        let stand = Stand::of(receivers, i);
+        let origin = self.query.lift(receivers.position[i], stand.lift);
+        let gloss = lobes.shader.gloss(&receivers.surface[i]);
+        for lobe in gloss.lobes() {
+            for &point in points {
+                let Some((local, share)) = lobe.sample(view, point) else {
+                    continue;
+                };
+                let direction = stand.above_horizon(frame.to_world(local));
+                let (distance, radiance) = self.look(origin, direction);
+                let is_open = distance.is_infinite();
+                let light = match lobes.lighting.filter(|_| is_open) {
+                    Some(lighting) => lighting.environment_radiance(direction),
+                    None => radiance.reflected + radiance.emitted,
+                };
+                seen.direction.push(direction);
+                seen.weight.push(1.0 / points.len() as f32);
+                seen.coverage.push(if is_open { 0.0 } else { 1.0 });
+                seen.distance.push(distance);
+                seen.reflected.push(share * light);
+                seen.emitted.push(Vec3::ZERO);
+            }
+        }
+    }
+}

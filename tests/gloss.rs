@@ -1,0 +1,200 @@
+//! Glossy reflection, end to end, against closed forms.
+
+#[allow(dead_code, reason = "every test file uses some of the helpers")]
+#[path = "support/program.rs"]
+mod program;
+
+use glam::Vec3;
+use program::{json, run, stage, stderr};
+use std::fs;
+
+/// A floor that looks like this, as the inputs of UsdPreviewSurface say, under a sky of radiance 1 or what `more` has; a
+/// camera straight above it.
+fn floor(inputs: &str, more: &str) -> String {
+    format!(
+        r#"#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Xform "World"
+{{
+    def Mesh "floor" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {{
+        point3f[] points = [(-1, 0, 1), (1, 0, 1), (1, 0, -1), (-1, 0, -1)]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        uniform token subdivisionScheme = "none"
+        rel material:binding = </World/Look>
+    }}
+    def Camera "cam"
+    {{
+        double3 xformOp:translate = (0, 1000, 0)
+        float xformOp:rotateX = -90
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateX"]
+    }}
+    def Material "Look"
+    {{
+        token outputs:surface.connect = </World/Look/surface.outputs:surface>
+        def Shader "surface"
+        {{
+            uniform token info:id = "UsdPreviewSurface"
+            {inputs}
+            token outputs:surface
+        }}
+    }}
+    {more}
+}}
+"#
+    )
+}
+
+const SKY: &str = "def DomeLight \"sky\" { float inputs:intensity = 1 }";
+
+const MIRROR: &str = "color3f inputs:diffuseColor = (0.9, 0.7, 0.5)\nfloat inputs:metallic = 1\nfloat inputs:roughness = 0";
+
+/// What a bake of `text` seen from `view` finds at the four points of the floor.
+fn baked(text: &str, view: &str) -> Vec<Vec3> {
+    let (folder, path) = stage(text);
+    let out = folder.path().join("out.usda");
+    let result = run(&[
+        "bake",
+        path.to_str().expect("UTF-8"),
+        "-o",
+        out.to_str().expect("UTF-8"),
+        "--usd",
+        "native",
+        "--aov",
+        "specular_indirect",
+        "--view",
+        view,
+        "--mask",
+        "/World/floor,/World/wall,/World/sky,/World/Look,/World/cam",
+    ]);
+    assert!(result.status.success(), "{}", stderr(&result));
+    let layer = fs::read_to_string(out).expect("a layer");
+    let over = &layer[layer.find("\"floor\"").expect("the floor")..];
+    let name = "primvars:specular_indirect = [";
+    let values = &over[over.find(name).expect("the primvar") + name.len()..];
+    let values = &values[..values.find(']').expect("an end")];
+    let numbers: Vec<f32> = (values.split([',', '(', ')']))
+        .filter_map(|word| word.trim().parse().ok())
+        .collect();
+    numbers.chunks_exact(3).map(Vec3::from_slice).collect()
+}
+
+#[test]
+fn a_metal_mirror_shows_a_white_sky_in_its_color_and_its_back_shows_nothing() {
+    for view in ["0,-1,0", "cam"] {
+        for value in baked(&floor(MIRROR, SKY), view) {
+            assert!(
+                value.abs_diff_eq(Vec3::new(0.9, 0.7, 0.5), 2e-3),
+                "{view}: {value}"
+            );
+        }
+    }
+    assert_eq!(baked(&floor(MIRROR, SKY), "0,1,0"), [Vec3::ZERO; 4]);
+}
+
+#[test]
+fn a_dielectric_reflects_by_its_index_and_more_at_grazing_angles() {
+    let glass = "float inputs:ior = 2\nfloat inputs:roughness = 0";
+    let straight = baked(&floor(glass, SKY), "0,-1,0")[0];
+    assert!((straight.x - 1.0 / 9.0).abs() < 1e-3, "{straight}");
+    // Schlick at 60°: f + (1 − f) / 32.
+    let slant = baked(&floor(glass, SKY), "0.8660254,-0.5,0")[0];
+    let exact = 1.0 / 9.0 + 8.0 / 9.0 / 32.0;
+    assert!((slant.x - exact).abs() < 2e-3, "{slant} {exact}");
+    let black = "int inputs:useSpecularWorkflow = 1\ncolor3f inputs:specularColor = (0, 0, 0)";
+    assert_eq!(baked(&floor(black, SKY), "0,-1,0"), [Vec3::ZERO; 4]);
+    let coated = format!("{black}\nfloat inputs:clearcoat = 0.5");
+    let coat = baked(&floor(&coated, SKY), "0,-1,0")[0];
+    assert!((coat.x - 0.02).abs() < 1e-3, "{coat}");
+}
+
+/// A wall of radiance 2, made of emission alone, is what a mirror before it shows: from where it stands under 45°.
+#[test]
+fn a_mirror_shows_the_wall_behind_the_eye() {
+    let wall = r#"def Mesh "wall" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {
+        point3f[] points = [(3, -50, -50), (3, -50, 50), (3, 50, 50), (3, 50, -50)]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        uniform token subdivisionScheme = "none"
+        rel material:binding = </World/wall/Bright>
+        def Material "Bright"
+        {
+            token outputs:surface.connect = </World/wall/Bright/surface.outputs:surface>
+            def Shader "surface"
+            {
+                uniform token info:id = "UsdPreviewSurface"
+                color3f inputs:diffuseColor = (0, 0, 0)
+                color3f inputs:emissiveColor = (2, 2, 2)
+                token outputs:surface
+            }
+        }
+    }"#;
+    for value in baked(&floor(MIRROR, wall), "1,-1,0") {
+        assert!(value.abs_diff_eq(Vec3::new(1.8, 1.4, 1.0), 5e-3), "{value}");
+    }
+    assert_eq!(baked(&floor(MIRROR, wall), "-1,-1,0"), [Vec3::ZERO; 4]);
+}
+
+#[test]
+fn a_bake_without_an_eye_is_a_usage_error() {
+    let (folder, path) = stage(&floor(MIRROR, SKY));
+    let out = folder.path().join("out.usda");
+    let arguments = |more: &[&str]| {
+        let mut all = vec!["bake", path.to_str().expect("UTF-8"), "-o"];
+        all.push(out.to_str().expect("UTF-8"));
+        all.extend(["--aov", "specular_indirect"]);
+        all.extend(more);
+        run(&all)
+    };
+    for (more, code, word) in [
+        (&[][..], 2, "--view"),
+        (&["--view", "0,0,0"][..], 2, "--view"),
+        (&["--view", "1,x,0"][..], 2, "--view"),
+        (&["--view", "nobody"][..], 1, "nobody"),
+    ] {
+        let result = arguments(more);
+        assert_eq!(
+            result.status.code(),
+            Some(code),
+            "{more:?} {}",
+            stderr(&result)
+        );
+        assert!(stderr(&result).contains(word), "{}", stderr(&result));
+        assert!(!out.exists());
+    }
+}
+
+#[test]
+fn a_render_tells_its_error_and_meets_a_tolerance() {
+    let rough = MIRROR.replace("roughness = 0", "roughness = 0.4");
+    let ball = "def Sphere \"ball\" { double radius = 0.5\ndouble3 xformOp:translate = (0, 0.6, 0)\nuniform token[] xformOpOrder = [\"xformOp:translate\"] }";
+    let (folder, path) = stage(&floor(&rough, &format!("{SKY}\n{ball}")));
+    let out = folder.path().join("out.exr");
+    let report = json(&run(&[
+        "render",
+        path.to_str().expect("UTF-8"),
+        "-o",
+        out.to_str().expect("UTF-8"),
+        "--usd",
+        "native",
+        "--aov",
+        "specular_indirect,occlusion",
+        "--tolerance",
+        "0.02",
+        "--image-width",
+        "96",
+        "--json",
+    ]));
+    let error = report["error"]["aovs"]["specular_indirect"].as_f64();
+    assert!(
+        error.is_some_and(|error| error > 0.0 && error <= 0.02),
+        "{error:?}"
+    );
+    assert!(report["error"]["aovs"]["visibility"].as_f64().is_some());
+}
