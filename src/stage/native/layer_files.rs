@@ -2,6 +2,7 @@
 //! text repaired ([`text`]), binary checked ([`crate_check`]), package entries read in place ([`package`]).
 
 use super::class_cycles::ClassArcs;
+use super::large_file::LargeFile;
 use super::package::Package;
 use super::{crate_check, text};
 use openusd::ar::{self, Asset, ResolvedPath, Resolver};
@@ -33,7 +34,7 @@ pub(super) struct LayerFiles {
     packages: RefCell<HashMap<PathBuf, Option<Rc<Package>>>>,
     udims: RefCell<HashMap<String, bool>>,
     classes: RefCell<ClassArcs>,
-    last: RefCell<Option<(PathBuf, Option<Bytes>)>>,
+    last: RefCell<Option<(PathBuf, Option<Opened>)>>,
 }
 
 /// Identifier of the session layer of a stage that has none of its own: no file has such a name.
@@ -51,7 +52,18 @@ impl AsRef<[u8]> for Bytes {
     }
 }
 
-/// A file the crate reads.
+/// A binary layer longer than this, bytes, is not held in memory while its arrays are read from it: a file that takes a
+/// tenth of the memory of an ordinary process is what the arrays should not have to stand beside.
+const LARGE: usize = 8 << 20;
+
+/// What is known of the layer opened last.
+enum Opened {
+    Small(Bytes),
+    /// Sound, and to be read from its file.
+    Large,
+}
+
+/// Bytes in memory as the crate reads them.
 struct LayerAsset(Cursor<Bytes>);
 
 impl Read for LayerAsset {
@@ -72,7 +84,17 @@ impl Asset for LayerAsset {
     }
 }
 
-/// The same, as the resolver the crate's stage owns.
+impl Opened {
+    /// The layer at `path`, from its start.
+    fn asset(&self, path: &str) -> io::Result<Box<dyn Asset>> {
+        Ok(match self {
+            Self::Small(bytes) => Box::new(LayerAsset(Cursor::new(bytes.clone()))),
+            Self::Large => Box::new(LargeFile::open(Path::new(path))?),
+        })
+    }
+}
+
+/// [`LayerFiles`] as the resolver the crate's stage owns.
 pub(super) struct SharedFiles(pub(super) Rc<LayerFiles>);
 
 impl LayerFiles {
@@ -214,18 +236,23 @@ impl LayerFiles {
         found
     }
 
-    /// The bytes of the file `path`, repaired or checked if it is a layer. The crate opens a layer up to three times in
-    /// a row.
-    fn open(&self, path: &str) -> io::Result<Bytes> {
-        if let Some((last, Some(bytes))) = &*self.last.borrow()
+    /// The file `path`, repaired or checked if it is a layer. The crate opens a layer up to three times in a row.
+    fn open(&self, path: &str) -> io::Result<Box<dyn Asset>> {
+        if let Some((last, Some(opened))) = &*self.last.borrow()
             && last.as_os_str() == path
         {
-            return Ok(bytes.clone());
+            return opened.asset(path);
         }
         *self.last.borrow_mut() = Some((PathBuf::from(path), None));
-        let bytes = Bytes(Arc::new(self.read(path)?));
-        *self.last.borrow_mut() = Some((PathBuf::from(path), Some(bytes.clone())));
-        Ok(bytes)
+        let bytes = self.read(path)?;
+        let is_file = ar::split_package_relative_path_outer(path).is_none();
+        let opened = match is_file && bytes.len() > LARGE && bytes.starts_with(CRATE_MAGIC) {
+            true => Opened::Large,
+            false => Opened::Small(Bytes(Arc::new(bytes))),
+        };
+        let asset = opened.asset(path);
+        *self.last.borrow_mut() = Some((PathBuf::from(path), Some(opened)));
+        asset
     }
 
     fn read(&self, path: &str) -> io::Result<Vec<u8>> {
@@ -285,8 +312,7 @@ impl Resolver for SharedFiles {
     }
 
     fn open_asset(&self, resolved_path: &ResolvedPath) -> io::Result<Box<dyn Asset>> {
-        let bytes = self.0.open(&resolved_path.to_string_lossy())?;
-        Ok(Box::new(LayerAsset(Cursor::new(bytes))))
+        self.0.open(&resolved_path.to_string_lossy())
     }
 }
 

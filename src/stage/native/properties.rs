@@ -390,7 +390,7 @@ impl<'a> Properties<'a> {
                 ));
             }
             if let Some(default) = opinions.field(at, FieldKey::Default.as_str())? {
-                let value = convert::value(&default, &resolve);
+                let value = convert::value_of(default, &resolve);
                 attribute.value = value.map(|value| opinions.retimed(value, &attribute.type_name));
                 return Ok(());
             }
