@@ -80,7 +80,7 @@ impl Indexed {
 /// A gray scene of `meshes` with a square light of side 0.5 below the ceiling.
 pub(crate) fn scene(meshes: Vec<Mesh>) -> Scene {
     let prims = (0..).zip(&meshes).map(|(i, _)| Prim {
-        path: format!("/p{i}"),
+        path: format!("/p{i}").into(),
         mesh: MeshId(i),
         world_from_object: Affine3A::IDENTITY,
         materials: FaceMaterials::Whole(Some(MaterialId(0))),

@@ -62,7 +62,7 @@ impl SceneBuilder {
         let id = u32::try_from(self.scene.prims.len()).expect("few prims");
         self.scene.meshes.push(mesh);
         self.scene.prims.push(Prim {
-            path: format!("/World/{name}"),
+            path: format!("/World/{name}").into(),
             mesh: MeshId(id),
             world_from_object: Affine3A::IDENTITY,
             materials: FaceMaterials::Whole(Some(material)),

@@ -38,7 +38,7 @@ impl Comparison<'_> {
 
     /// On every face the emission is the light's radiance, which the material's may tint.
     fn mesh_light(&mut self, path: &str, theirs: &Value) {
-        let Some(prim) = self.scene.prims.iter().find(|prim| prim.path == path) else {
+        let Some(prim) = self.scene.prims.iter().find(|prim| &*prim.path == path) else {
             return self.one(path, "mesh light", false);
         };
         let mut expected = list(&theirs["radiance"]);

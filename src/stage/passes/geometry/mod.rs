@@ -310,7 +310,7 @@ fn warn_of_transform(placement: &Placement, flaw: &str, diagnostics: &Diagnostic
     };
     diagnostics.warn(
         "degenerate-transform",
-        path.clone(),
+        path.to_string(),
         format!("what is drawn with a transform that {flaw} is left out"),
     );
 }

@@ -130,7 +130,7 @@ fn a_mesh_drawn_once_is_in_world_space_and_twice_is_shared() {
     ];
     let built = build(prims.concat(), 3);
     assert_eq!(built.meshes.len(), 2);
-    let paths: Vec<_> = built.prims.iter().map(|p| p.path.as_str()).collect();
+    let paths: Vec<_> = built.prims.iter().map(|p| &*p.path).collect();
     assert_eq!(paths, ["/i0/t", "/i1/t", "/single"]);
     assert_eq!(built.prims[0].mesh, built.prims[1].mesh);
     assert_eq!(built.prims[1].world_from_object.translation.x, 1.0);
@@ -153,7 +153,7 @@ fn invisible_prims_guides_and_proxies_are_not_drawn() {
         triangle("/plain"),
     ];
     let built = build_all(prims);
-    let paths: Vec<_> = built.prims.iter().map(|p| p.path.as_str()).collect();
+    let paths: Vec<_> = built.prims.iter().map(|p| &*p.path).collect();
     assert_eq!(paths, ["/render", "/plain"]);
     assert_eq!(built.prims[0].purpose, Purpose::Render);
 }
