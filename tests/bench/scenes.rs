@@ -3,8 +3,8 @@
 use glam::{Affine3A, DVec3, Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
 use surflux::scene::{
-    FaceMaterials, Input, Light, LightKind, Material, MaterialId, Mesh, MeshId, Normals, Prim,
-    PrimSource, Purpose, Scene, StageInfo, UpAxis,
+    FaceMaterials, Input, Light, LightKind, Linked, Material, MaterialId, Mesh, MeshId, Normals,
+    Prim, PrimSource, Purpose, Scene, StageInfo, UpAxis,
 };
 
 /// A box from −1 to 1 with `n × n` quads a side, seen from the inside.
@@ -120,6 +120,8 @@ pub(crate) fn scene(meshes: Vec<Mesh>) -> Scene {
             world_from_light: Affine3A::from_translation(Vec3::new(0.0, 0.99, 0.0)) * down,
             shaping: None,
             casts_shadows: true,
+            lit: Linked::All,
+            blockers: Linked::All,
         }],
         cameras: Vec::new(),
         render_settings: Vec::new(),

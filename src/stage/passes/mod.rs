@@ -44,6 +44,7 @@ pub fn scene(
         cameras: look.cameras,
         render_settings: look.render_settings,
     };
+    look::links::apply(&mut scene, &look.links);
     look::mesh_lights::shine(&mut scene, &look.mesh_lights, diagnostics);
     Ok(scene)
 }
