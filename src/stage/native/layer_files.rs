@@ -2,7 +2,6 @@
 //! text repaired ([`text`]), binary checked ([`crate_check`]), package entries read in place ([`package`]).
 
 use super::class_cycles::ClassArcs;
-use super::large_file::LargeFile;
 use super::package::Package;
 use super::{crate_check, text};
 use openusd::ar::{self, Asset, ResolvedPath, Resolver};
@@ -10,6 +9,7 @@ use openusd::sdf::AbstractData;
 use openusd::usdc::CrateData;
 use std::cell::RefCell;
 use std::collections::HashMap;
+use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::{Component, Path, PathBuf};
 use std::rc::Rc;
@@ -52,8 +52,8 @@ impl AsRef<[u8]> for Bytes {
     }
 }
 
-/// A binary layer longer than this, bytes, is not held in memory while its arrays are read from it: a file that takes a
-/// tenth of the memory of an ordinary process is what the arrays should not have to stand beside.
+/// A binary layer longer than this, bytes, is not held here once it is checked: the crate makes itself a copy, which
+/// stays as long as the stage.
 const LARGE: usize = 8 << 20;
 
 /// What is known of the layer opened last.
@@ -84,12 +84,33 @@ impl Asset for LayerAsset {
     }
 }
 
+/// A file as the crate reads it.
+struct LayerFile(File);
+
+impl Read for LayerFile {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        self.0.read(into)
+    }
+}
+
+impl Seek for LayerFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.0.seek(to)
+    }
+}
+
+impl Asset for LayerFile {
+    fn size(&self) -> io::Result<u64> {
+        Ok(self.0.metadata()?.len())
+    }
+}
+
 impl Opened {
     /// The layer at `path`, from its start.
     fn asset(&self, path: &str) -> io::Result<Box<dyn Asset>> {
         Ok(match self {
             Self::Small(bytes) => Box::new(LayerAsset(Cursor::new(bytes.clone()))),
-            Self::Large => Box::new(LargeFile::open(Path::new(path))?),
+            Self::Large => Box::new(LayerFile(File::open(path)?)),
         })
     }
 }

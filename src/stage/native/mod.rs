@@ -10,7 +10,6 @@ mod convert;
 mod crate_check;
 mod crate_values;
 mod interpolate;
-mod large_file;
 mod layer_files;
 mod package;
 mod properties;
