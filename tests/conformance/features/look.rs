@@ -111,7 +111,7 @@ fn linked(light: &str, link: &str, body: &str) -> String {
     format!(
         "{}{}def Xform \"group\" {{ {} }}
 class Xform \"_class\" {{ {} }}
-def Xform \"copy\" ( instanceable = true inherits = </_class> ) {{
+def Xform \"copy\" ( instanceable = true; inherits = </_class> ) {{
 }}
 def Scope \"sets\" ( apiSchemas = [\"CollectionAPI:some\"] ) {{
     uniform token collection:some:expansionRule = \"expandPrims\"
