@@ -13,7 +13,7 @@ use surflux::gather::{GatherScene, RaysEngine, RaysSettings, gather};
 use surflux::lighting::{LightSamples, Lighting, ShadePoint};
 use surflux::math::sequence::spiral_sphere;
 use surflux::results::{Aov, Results};
-use surflux::scene::{Light, LightKind, PrimId, Scene};
+use surflux::scene::{Light, LightKind, Linked, PrimId, Scene};
 use surflux::shading::Shader;
 use surflux::trace::Tracer;
 use tempfile::TempDir;
@@ -81,6 +81,8 @@ fn dome(texture: Option<&Path>, radiance: Vec3, turn: &DMat3) -> Light {
         world_from_light: Affine3A::from_mat3(turn.as_mat3()),
         shaping: None,
         casts_shadows: true,
+        lit: Linked::All,
+        blockers: Linked::All,
     }
 }
 
@@ -105,6 +107,7 @@ fn facing(position: Vec3, normal: Vec3) -> ShadePoint {
         normal,
         geometric_normal: normal,
         smooth_offset: None,
+        prim: None,
     }
 }
 

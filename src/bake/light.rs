@@ -49,7 +49,7 @@ impl Side<'_> {
 
     /// See [`ShadePoint::on_side`].
     pub(super) fn shade_point(&self, t: u32, weights: Vec3, plane_normal: Vec3) -> ShadePoint {
-        ShadePoint::on_side(self.world, (t, weights), plane_normal, self.back)
+        ShadePoint::on_side(self.world, (t, weights), plane_normal, self.back).of_prim(self.prim)
     }
 }
 

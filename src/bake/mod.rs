@@ -123,7 +123,11 @@ fn empty_cloud(scene: &Scene, count: usize, spacing: f32) -> SurfelCloud {
         albedo: vec![Vec3::ZERO; count],
         emission: vec![Vec3::ZERO; count],
         prim: vec![0; count],
-        prim_paths: scene.prims.iter().map(|prim| prim.path.clone()).collect(),
+        prim_paths: scene
+            .prims
+            .iter()
+            .map(|prim| prim.path.to_string())
+            .collect(),
         spacing,
     }
 }

@@ -70,7 +70,7 @@ fn cube(size: f32) -> Mesh {
 
 fn scene(meshes: Vec<(Mesh, Affine3A)>) -> Scene {
     let prim = |(i, (_, place)): (u32, &(Mesh, Affine3A))| Prim {
-        path: format!("/prim{i}"),
+        path: format!("/prim{i}").into(),
         mesh: MeshId(i),
         world_from_object: *place,
         materials: FaceMaterials::Whole(None),

@@ -256,7 +256,7 @@ impl File<'_> {
             return index;
         }
         let gray = Material {
-            path: prim.path.clone(),
+            path: prim.path.to_string(),
             diffuse_color: Input::Constant(shown.unwrap_or(Vec4::new(0.18, 0.18, 0.18, 1.0))),
             ..Material::default()
         };

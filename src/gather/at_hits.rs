@@ -107,7 +107,8 @@ impl<'a> HitLight<'a> {
         let world = PlacedMesh::of(self.shader.scene(), hit.prim);
         let plane = world.plane_normal(hit.triangle).normalize_or(Vec3::Y);
         let weights = Vec3::new(1.0 - hit.u - hit.v, hit.u, hit.v);
-        let point = ShadePoint::on_side(&world, (hit.triangle, weights), plane, !hit.front);
+        let point = ShadePoint::on_side(&world, (hit.triangle, weights), plane, !hit.front)
+            .of_prim(hit.prim);
         albedo * self.lighting.glimpse(self.tracer, &point, number(hit)) * FRAC_1_PI
     }
 }

@@ -453,6 +453,7 @@ mod tests {
             normal: Vec3::Y,
             geometric_normal: Vec3::Y,
             smooth_offset: None,
+            prim: None,
         }
     }
 

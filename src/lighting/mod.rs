@@ -6,6 +6,7 @@ mod emitters;
 mod environment;
 mod form_factor;
 mod lights;
+mod linked;
 mod panels;
 mod pattern;
 mod pictures;
@@ -17,13 +18,14 @@ mod stand;
 pub use environment::{EnvironmentCell, EnvironmentSet, SkyLight};
 
 use crate::diagnostics::Diagnostics;
-use crate::scene::{PlacedMesh, Scene, on_the_side_of};
+use crate::scene::{PlacedMesh, PrimId, Scene, on_the_side_of};
 use crate::shading::{Shader, SurfacePoint};
 use crate::trace::Tracer;
 use emitters::{EmitterPatterns, Emitters};
 use environment::Environment;
 use glam::Vec3;
-use lights::{AreaLight, Patterns};
+use lights::Patterns;
+use linked::LinkedLights;
 use stand::Stand;
 
 /// A point that receives light on one side.
@@ -38,6 +40,8 @@ pub struct ShadePoint {
     /// From `position` to the smooth surface that the plane stands for, if it does for one; see [`smooth_offset`].
     /// Light from below the plane and above the horizon of `normal` arrives there; `None` = it does not arrive.
     pub smooth_offset: Option<Vec3>,
+    /// The prim it lies on; lights that are linked to others do not reach it. `None` = they all do.
+    pub prim: Option<PrimId>,
 }
 
 impl ShadePoint {
@@ -64,6 +68,15 @@ impl ShadePoint {
             normal,
             geometric_normal: plane * sign,
             smooth_offset,
+            prim: None,
+        }
+    }
+
+    /// The same point as one of `prim`.
+    pub fn of_prim(self, prim: PrimId) -> Self {
+        Self {
+            prim: Some(prim),
+            ..self
         }
     }
 
@@ -91,6 +104,7 @@ impl ShadePoint {
             normal,
             geometric_normal,
             smooth_offset: (normal != geometric_normal).then(smooth).flatten(),
+            prim: Some(surface.prim),
         }
     }
 }
@@ -172,7 +186,7 @@ fn end_before(distance: f32) -> f32 {
 /// All sources of a scene, prepared for sampling.
 #[derive(Debug)]
 pub struct Lighting {
-    lights: Vec<AreaLight>,
+    lights: LinkedLights,
     environment: Environment,
     emitters: Emitters,
     /// For receivers.
@@ -208,9 +222,7 @@ impl Lighting {
         let coarse = samples.at_most(LightSamples::SURFEL);
         let [fine_sky, coarse_sky] = environment.sets([samples.environment, coarse.environment]);
         Self {
-            lights: (lights.iter())
-                .filter_map(|light| AreaLight::new(light, diagnostics))
-                .collect(),
+            lights: LinkedLights::new(shader.scene(), diagnostics),
             emitters: Emitters::new(shader),
             fine: Detail::new(samples, fine_sky),
             coarse: Detail::new(coarse, coarse_sky),
@@ -280,7 +292,7 @@ impl Lighting {
     /// Radiance of the nearest light whose shape lies along the unit `direction` closer than `max_distance`. Lights
     /// are no geometry: this is how a camera sees them.
     pub fn seen(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Vec3> {
-        (self.lights.iter())
+        (self.lights.all())
             .filter_map(|light| light.seen(origin, direction))
             .filter(|(distance, _)| *distance < max_distance)
             .min_by(|a, b| a.0.total_cmp(&b.0))
@@ -289,12 +301,12 @@ impl Lighting {
 
     /// True if nothing shines at all: no lights, no environment, no emissive surface.
     pub fn is_dark(&self) -> bool {
-        self.lights.is_empty() && !self.has_environment() && !self.has_emitters()
+        self.lights.count() == 0 && !self.has_environment() && !self.has_emitters()
     }
 
     /// Lights that shadow rays go to one by one: all but domes and emissive surfaces.
     pub fn light_count(&self) -> usize {
-        self.lights.len()
+        self.lights.count()
     }
 
     /// True if there are dome lights that are not black.
@@ -322,16 +334,16 @@ impl Lighting {
     }
 
     fn glance_by(&self, detail: &Detail, stand: &Stand<'_>, number: usize) -> Vec3 {
-        (self.lights.iter())
-            .map(|light| light.glance(&detail.lights, stand, number))
-            .sum()
+        (self.lights).sum(stand, |light, stand| {
+            light.glance(&detail.lights, stand, number)
+        })
     }
 
     fn lights_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
         let stand = Stand::new(tracer, point);
-        (self.lights.iter())
-            .map(|light| light.irradiance(&detail.lights, &stand))
-            .sum()
+        (self.lights).sum(&stand, |light, stand| {
+            light.irradiance(&detail.lights, stand)
+        })
     }
 
     fn environment_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {

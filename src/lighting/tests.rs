@@ -1,7 +1,10 @@
 //! Lights and emissive surfaces against closed forms and brute force.
 
+use super::lights::AreaLight;
 use super::*;
-use crate::scene::{FaceMaterials, Input, Light, LightKind, Material, MaterialId, Scene, Shaping};
+use crate::scene::{
+    FaceMaterials, Input, Light, LightKind, Linked, Material, MaterialId, Scene, Shaping,
+};
 use crate::trace::testing::{Random, mesh, scene};
 use glam::{Affine3A, Mat3, Quat, Vec2};
 use std::f32::consts::{FRAC_PI_2, PI};
@@ -21,6 +24,8 @@ fn light(kind: LightKind, world_from_light: Affine3A) -> Light {
         world_from_light,
         shaping: None,
         casts_shadows: true,
+        lit: Linked::All,
+        blockers: Linked::All,
     }
 }
 
@@ -34,6 +39,7 @@ fn facing(position: Vec3, normal: Vec3) -> ShadePoint {
         normal,
         geometric_normal: normal,
         smooth_offset: None,
+        prim: None,
     }
 }
 
@@ -75,9 +81,7 @@ fn lit_by(
         samples,
         &diagnostics,
     );
-    lighting.lights = AreaLight::new(&scene.lights[0], &diagnostics)
-        .into_iter()
-        .collect();
+    lighting.lights = LinkedLights::new(&scene, &diagnostics);
     points.iter().map(|p| lighting.lights(&tracer, p)).collect()
 }
 
@@ -324,6 +328,49 @@ fn surfel_samples_find_full_light_and_full_shadow_exactly() {
         lit_by(unshadowed, &sheet, LightSamples::SURFEL, &points),
         open
     );
+}
+
+#[test]
+fn a_linked_light_lights_its_prims_alone_and_only_its_blockers_shadow_it() {
+    let sheet = |height: f32| {
+        mesh(&quad(
+            Vec3::new(-9.0, height, -9.0),
+            Vec3::new(-9.0, height, 9.0),
+            Vec3::new(9.0, height, 9.0),
+            Vec3::new(9.0, height, -9.0),
+        ))
+    };
+    let (floor, low, high) = (PrimId(0), PrimId(1), PrimId(2));
+    let meshes = [0.0, 1.0, 2.0].map(sheet).to_vec();
+    let mut scene = scene(meshes, &[0, 1, 2].map(|mesh| (mesh, Affine3A::IDENTITY)));
+    let only = |prims: &[PrimId]| {
+        Linked::Only([floor, low, high].map(|prim| prims.contains(&prim)).into())
+    };
+    // a disk on its axis: π L r² / (r² + h²), seen from the floor and from the lower sheet
+    let truth = |height: f32| PI / (1.0 + height * height);
+    let cases = [
+        (Linked::All, Linked::All, [0.0, 0.0]),
+        (Linked::All, only(&[]), [truth(3.0), truth(2.0)]),
+        (Linked::All, only(&[low]), [0.0, truth(2.0)]),
+        (Linked::All, only(&[floor]), [truth(3.0), truth(2.0)]),
+        (only(&[low]), only(&[]), [0.0, truth(2.0)]),
+        (only(&[floor, high]), only(&[floor]), [truth(3.0), 0.0]),
+    ];
+    for (lit, blockers, truth) in cases {
+        scene.lights = vec![Light {
+            lit,
+            blockers,
+            ..light(LightKind::Disk { radius: 1.0 }, above(3.0))
+        }];
+        let (tracer, diagnostics) = (Tracer::new(&scene), Diagnostics::default());
+        let shader = Shader::new(&scene, &diagnostics);
+        let lighting = Lighting::new(&shader, ONE_LIGHT, &diagnostics);
+        for ((prim, height), truth) in [(floor, 0.0), (low, 1.0)].into_iter().zip(truth) {
+            let point = up_at(Vec3::Y * height).of_prim(prim);
+            assert_near(lighting.lights(&tracer, &point), truth, 1e-3);
+            assert_near(lighting.for_surfels().lights(&tracer, &point), truth, 1e-3);
+        }
+    }
 }
 
 #[test]

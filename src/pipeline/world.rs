@@ -5,7 +5,7 @@ use super::{Dome, Error, StageJob};
 use crate::diagnostics::Diagnostics;
 use crate::lighting::{LightSamples, Lighting};
 use crate::results::Aov;
-use crate::scene::{Light, LightKind, Scene};
+use crate::scene::{Light, LightKind, Linked, Scene};
 use crate::shading::Shader;
 use crate::stage::{self, ReadSettings, Source};
 use crate::trace::Tracer;
@@ -149,5 +149,7 @@ fn dome_light(dome: &Dome) -> Light {
         world_from_light: Affine3A::IDENTITY,
         shaping: None,
         casts_shadows: true,
+        lit: Linked::All,
+        blockers: Linked::All,
     }
 }

@@ -8,7 +8,7 @@ use glam::{Affine3A, DVec3};
 /// A scene of these meshes, each with its transform.
 pub(super) fn scene_of(meshes: Vec<(Mesh, Affine3A)>) -> Scene {
     let prim = |(i, (_, place)): (u32, &(Mesh, Affine3A))| Prim {
-        path: format!("/prim{i}"),
+        path: format!("/prim{i}").into(),
         mesh: MeshId(i),
         world_from_object: *place,
         materials: FaceMaterials::Whole(None),

@@ -1,7 +1,29 @@
 //! UsdLux lights.
 
+use super::PrimId;
 use glam::{Affine3A, Vec3};
 use std::path::PathBuf;
+use std::sync::Arc;
+
+/// The prims that a light has to do with.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum Linked {
+    /// All of them.
+    #[default]
+    All,
+    /// Those with `true`, by [`PrimId`].
+    Only(Arc<[bool]>),
+}
+
+impl Linked {
+    /// True if `prim` is one of them.
+    pub fn contains(&self, prim: PrimId) -> bool {
+        match self {
+            Self::All => true,
+            Self::Only(prims) => prims.get(prim.index()).copied().unwrap_or(false),
+        }
+    }
+}
 
 /// `ShapingAPI`: a cone about the light's −Z axis, and a focus falloff.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,4 +100,8 @@ pub struct Light {
     pub shaping: Option<Shaping>,
     /// `shadow:enable`, default true.
     pub casts_shadows: bool,
+    /// Prims it lights: its `lightLink` collection.
+    pub lit: Linked,
+    /// Prims that block it: its `shadowLink` collection.
+    pub blockers: Linked,
 }

@@ -13,7 +13,7 @@ pub mod prim;
 pub mod render_product;
 
 pub use camera::Camera;
-pub use light::{Light, LightKind, Shaping};
+pub use light::{Light, LightKind, Linked, Shaping};
 pub use material::{ColorSpace, Input, Material, MaterialId, TextureRead, Wrap};
 pub use mesh::{Cage, Interpolation, Mesh, MeshId, Normals, Primvar};
 pub use placed::{PlacedMesh, on_the_side_of};

@@ -71,33 +71,44 @@ pub enum PrimSource {
         /// The instances above, outermost first, at least one.
         instances: Arc<[EnclosingInstance]>,
         /// Path of the same prim inside the first instance that uses this prototype (all instances share it).
-        shared_path: String,
+        shared_path: Arc<str>,
     },
     /// Drawn by a `PointInstancer`: opinions can only go to the prototype, shared by all its points.
     PointInstance {
         /// Path of the instancer.
-        instancer: String,
+        instancer: Arc<str>,
         /// Index of the instance (point) in it.
         index: u32,
         /// Path of the mesh below the prototype.
-        shared_path: String,
+        shared_path: Arc<str>,
     },
 }
 
-/// A native instance above a prim.
+/// A native instance above a prim. Prims of many instances share one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EnclosingInstance {
-    /// Its stage path.
-    pub path: String,
+    /// Length of its stage path, bytes: the path itself is the start of the prim's.
+    pub path_length: usize,
     /// Path of the first instance that uses the same prototype; its own if it is the first.
-    pub first: String,
+    pub first: Arc<str>,
+}
+
+impl EnclosingInstance {
+    /// Its stage path, from that of a prim below it.
+    ///
+    /// # Panics
+    /// When no instance like this encloses the prim at `path`.
+    pub fn path_above<'a>(&self, path: &'a str) -> &'a str {
+        path.get(..self.path_length)
+            .expect("the path of a prim starts with that of an instance above it")
+    }
 }
 
 /// One visible occurrence of a mesh.
 #[derive(Debug, Clone)]
 pub struct Prim {
     /// Stage path; for point instances `INSTANCER[index]/…` (not a valid USD path, for people).
-    pub path: String,
+    pub path: Arc<str>,
     /// Geometry.
     pub mesh: MeshId,
     /// To world space relative to `Scene::origin`; may mirror, shear and scale unevenly.

@@ -229,7 +229,7 @@ mod tests {
             origin: DVec3::ZERO,
             meshes: vec![mesh],
             prims: vec![Prim {
-                path: "/square".to_owned(),
+                path: "/square".into(),
                 mesh: MeshId(0),
                 world_from_object: Affine3A::IDENTITY,
                 materials: of_faces,

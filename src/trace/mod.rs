@@ -93,13 +93,19 @@ impl Tracer {
     /// Build it; cost O(n log n) in triangles, instances share theirs. Prims whose transform cannot be inverted have
     /// no area and are left out.
     pub fn new(scene: &Scene) -> Self {
-        Self::with_copies(scene, MOST_COPIES)
+        Self::among(scene, |_| true)
+    }
+
+    /// [`Self::new`] of the prims for which `is_in` holds; all else lets rays pass.
+    pub fn among(scene: &Scene, is_in: impl Fn(PrimId) -> bool) -> Self {
+        Self::with_copies(scene, MOST_COPIES, is_in)
     }
 
     /// [`Self::new`] with at most so many triangles of copies in the world.
-    fn with_copies(scene: &Scene, most_copies: usize) -> Self {
+    fn with_copies(scene: &Scene, most_copies: usize, is_in: impl Fn(PrimId) -> bool) -> Self {
         let is_copied = copied(scene, most_copies);
         let prims = (0_u32..).map(PrimId).zip(&scene.prims);
+        let prims = prims.filter(|(id, _)| is_in(*id));
         let (owned, transformed): (Vec<_>, Vec<_>) =
             prims.partition(|(_, prim)| is_copied[prim.mesh.index()]);
         let ids = |prims: Vec<(PrimId, &Prim)>| -> Vec<PrimId> {

@@ -54,7 +54,7 @@ pub(crate) fn mesh(triangles: &[[Vec3; 3]]) -> Mesh {
 /// A scene of `(mesh, transform)` prims without materials.
 pub(crate) fn scene(meshes: Vec<Mesh>, prims: &[(u32, Affine3A)]) -> Scene {
     let prims = prims.iter().map(|&(mesh, world_from_object)| Prim {
-        path: format!("/p{mesh}"),
+        path: format!("/p{mesh}").into(),
         mesh: MeshId(mesh),
         world_from_object,
         materials: FaceMaterials::Whole(None),

@@ -181,7 +181,7 @@ fn instances_agree_with_their_flattened_copies_mirrored_and_sheared() {
     let mut prims: Vec<_> = transforms.iter().map(|t| (0, *t)).collect();
     prims.push((1, Affine3A::IDENTITY));
     let scene = scene(vec![mesh(&triangles), mesh(&second)], &prims);
-    let tracers = [0, usize::MAX].map(|copies| Tracer::with_copies(&scene, copies));
+    let tracers = [0, usize::MAX].map(|copies| Tracer::with_copies(&scene, copies, |_| true));
     let mut flat = Vec::new();
     for (mesh, transform) in &prims {
         for t in if *mesh == 0 { &triangles } else { &second } {
@@ -461,7 +461,7 @@ fn packets(random: &mut Random) -> Vec<(Vec3, Vec<Vec3>, u64)> {
 fn packets_hit_what_their_rays_hit_to_the_last_bit() {
     let mut random = Random(78);
     let scene = mixed_scene(&mut random);
-    let tracers = [0, usize::MAX].map(|copies| Tracer::with_copies(&scene, copies));
+    let tracers = [0, usize::MAX].map(|copies| Tracer::with_copies(&scene, copies, |_| true));
     let (mut blocked, mut found, mut hits) = (0, 0, [None; 64]);
     for (k, (direction, origins, active)) in packets(&mut random).into_iter().enumerate() {
         let tracer = &tracers[k / 2 % 2];
@@ -489,7 +489,7 @@ fn packets_hit_what_their_rays_hit_to_the_last_bit() {
 fn the_hierarchy_finds_what_a_search_of_all_triangles_finds_to_the_last_bit() {
     let mut random = Random(80);
     let scene = mixed_scene(&mut random);
-    let tracer = Tracer::with_copies(&scene, 0);
+    let tracer = Tracer::with_copies(&scene, 0, |_| true);
     let mut found = 0;
     for (direction, origins, _) in packets(&mut random) {
         for &origin in origins.iter().take(2) {
@@ -504,7 +504,7 @@ fn the_hierarchy_finds_what_a_search_of_all_triangles_finds_to_the_last_bit() {
 #[test]
 fn every_instruction_set_gives_the_same_bits() {
     let mut random = Random(77);
-    let mut tracer = Tracer::with_copies(&mixed_scene(&mut random), 0);
+    let mut tracer = Tracer::with_copies(&mixed_scene(&mut random), 0, |_| true);
     let best = tracer.level;
     for (direction, origins, active) in packets(&mut random) {
         let mut answers = [best, Level::baseline()].into_iter().map(|level| {

@@ -98,7 +98,7 @@ impl Subject {
         for prim in &scene.prims {
             if !subject.add(scene.mesh_of(prim), prim) {
                 let message = "it is not shown: there are 2^32 vertices without it";
-                diagnostics.warn("too-large", prim.path.clone(), message);
+                diagnostics.warn("too-large", prim.path.to_string(), message);
             }
         }
         subject.finish();
@@ -172,7 +172,7 @@ impl Subject {
         }
         let owner = u32::try_from(self.owner_paths.len()).unwrap_or(u32::MAX);
         self.owners.resize(self.positions.len(), owner);
-        self.owner_paths.push(prim.path.clone());
+        self.owner_paths.push(prim.path.to_string());
         true
     }
 }

@@ -80,6 +80,7 @@ fn with_points(scene: &Scene, work: impl Fn(&Shader<'_>, &Tracer, &Lighting, &[S
             normal,
             geometric_normal: normal,
             smooth_offset: None,
+            prim: None,
         })
         .collect();
     work(&shader, &Tracer::new(scene), &lighting, &points);

@@ -4,11 +4,13 @@
 //! Every number is of a process of its own, from its start, so that imports and workers are in it: processor time (user
 //! and system, the worker's too) and the largest memory in use. Rivals take turns; medians of the rounds.
 //!
-//! On two busy cores, dev profile (opt-level 2), means of two rounds: of 10 M points natively 0.67 and through the worker
-//! 0.81 of usd-core's 1.2 s, with 2.15 and 1.02 times the arrays in memory (the worker's own process: 1.41); of 4000 layers
-//! 1.3 and 1.7 times its open and walk; 100 000 points of an instancer in 0.1 s and 0.47 s. 100 000 native instances, each
-//! a prim, took the worker 18 s once and more than 100 s once, where usd-core's open and walk take 3, and the native door
-//! more than 100: that is open.
+//! On two busy cores, dev profile (opt-level 2), medians of five rounds: of 10 M points natively 0.71 and through the
+//! worker 1.07 of usd-core's 0.79 s, with 1.46 and 1.02 times the arrays in memory (the worker's own process: 1.41);
+//! natively the crate's copy of the file is 0.38 of that. Of 4000 layers 1.78 times its open and walk.
+//!
+//! Single runs: 100 000 points of an instancer in 0.1 s natively and 0.4 s through the worker; 100 000 native instances,
+//! each a prim, in 2.4 s and 9.7 s, where usd-core's open and walk take 3.2. The crate's stage and its copy of the layer
+//! hold 0.7 GB then; what is kept is 144 bytes an instance and its path.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measured")]
 

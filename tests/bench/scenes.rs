@@ -3,8 +3,8 @@
 use glam::{Affine3A, DVec3, Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
 use surflux::scene::{
-    FaceMaterials, Input, Light, LightKind, Material, MaterialId, Mesh, MeshId, Normals, Prim,
-    PrimSource, Purpose, Scene, StageInfo, UpAxis,
+    FaceMaterials, Input, Light, LightKind, Linked, Material, MaterialId, Mesh, MeshId, Normals,
+    Prim, PrimSource, Purpose, Scene, StageInfo, UpAxis,
 };
 
 /// A box from −1 to 1 with `n × n` quads a side, seen from the inside.
@@ -80,7 +80,7 @@ impl Indexed {
 /// A gray scene of `meshes` with a square light of side 0.5 below the ceiling.
 pub(crate) fn scene(meshes: Vec<Mesh>) -> Scene {
     let prims = (0..).zip(&meshes).map(|(i, _)| Prim {
-        path: format!("/p{i}"),
+        path: format!("/p{i}").into(),
         mesh: MeshId(i),
         world_from_object: Affine3A::IDENTITY,
         materials: FaceMaterials::Whole(Some(MaterialId(0))),
@@ -120,6 +120,8 @@ pub(crate) fn scene(meshes: Vec<Mesh>) -> Scene {
             world_from_light: Affine3A::from_translation(Vec3::new(0.0, 0.99, 0.0)) * down,
             shaping: None,
             casts_shadows: true,
+            lit: Linked::All,
+            blockers: Linked::All,
         }],
         cameras: Vec::new(),
         render_settings: Vec::new(),

@@ -152,7 +152,7 @@ impl Comparison<'_> {
     fn drawn(&mut self) {
         let mut ours: HashMap<&str, &Prim> = HashMap::new();
         for prim in &self.scene.prims {
-            ours.insert(prim.path.as_str(), prim);
+            ours.insert(&*prim.path, prim);
         }
         let truth = self.truth;
         for theirs in truth.index["drawn"].as_array().expect("a list") {
@@ -174,7 +174,7 @@ impl Comparison<'_> {
     }
 
     fn prim(&mut self, prim: &Prim, theirs: &Value) {
-        let path = prim.path.as_str();
+        let path = &*prim.path;
         let purpose = format!("{:?}", prim.purpose).to_lowercase();
         self.one(path, "purpose", purpose == text(&theirs["purpose"]));
         let mesh = self.scene.mesh_of(prim);

@@ -285,7 +285,6 @@ class Evaluation:
             shaping = [math.radians(value(api.GetShapingConeAngleAttr())), value(api.GetShapingConeSoftnessAttr())]
             shaping += [value(api.GetShapingFocusAttr()), *value(api.GetShapingFocusTintAttr())]
         shadow = UsdLux.ShadowAPI(prim)
-        links = [name for name in ("lightLink", "shadowLink") if self.is_linked(prim, name)]
         plain = ("intensity", "exposure", "color", "radius", "normalize", "angle")
         return {
             "path": str(prim.GetPath()),
@@ -297,7 +296,7 @@ class Evaluation:
             "texture": os.path.realpath(texture.resolvedPath) if texture and texture.resolvedPath else None,
             "shaping": shaping and numbers(shaping),
             "shadows": bool(value(shadow.GetShadowEnableAttr())) if prim.HasAPI(UsdLux.ShadowAPI) else True,
-            "linked": links,
+            "unlinked": {name: self.unlinked(prim, name) for name in ("lightLink", "shadowLink")},
             "dome": self.dome(prim) if "Dome" in prim.GetTypeName() else None,
             "mesh": self.mesh_light(prim) if prim.IsA(UsdGeom.Mesh) else None,
             "old": any(prim.GetAttribute(name).HasAuthoredValue() for name in plain if prim.HasAttribute(name)),
@@ -325,9 +324,14 @@ class Evaluation:
             at += count
         return {"area": float(area), "sync": str(prim.GetAttribute("light:materialSyncMode").Get(self.time))}
 
-    @staticmethod
-    def is_linked(prim, name):
-        return any(prim.GetRelationship("collection:%s:%s" % (name, part)).GetTargets() for part in ("includes", "excludes"))
+    def unlinked(self, prim, name):
+        """Paths of the gprims that the collection does not hold."""
+        query = Usd.CollectionAPI(prim, name).ComputeMembershipQuery()
+        if query.GetAsPathExpansionRuleMap() == {Sdf.Path.absoluteRootPath: Usd.Tokens.expandPrims}:
+            return []
+        everything = Usd.PrimRange.Stage(self.stage, Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate))
+        gprims = (prim.GetPath() for prim in everything if prim.IsA(UsdGeom.Gprim))
+        return [str(path) for path in gprims if not query.IsPathIncluded(path)]
 
     def camera(self, prim):
         camera = UsdGeom.Camera(prim)

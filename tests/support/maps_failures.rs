@@ -28,7 +28,7 @@ fn copies(base: Mesh, places: impl Iterator<Item = Affine3A>) -> Scene {
     scene.prims = (0..)
         .zip(places)
         .map(|(k, place): (u32, Affine3A)| Prim {
-            path: format!("/World/copy{k}"),
+            path: format!("/World/copy{k}").into(),
             mesh: MeshId(0),
             world_from_object: place,
             ..prim.clone()

@@ -5,8 +5,8 @@ use surflux::math::Bounds3;
 use surflux::receivers::Receivers;
 use surflux::results::Target;
 use surflux::scene::{
-    Cage, FaceMaterials, Input, Light, LightKind, Material, MaterialId, Mesh, MeshId, Normals,
-    Prim, PrimId, PrimSource, Purpose, Scene, StageInfo, UpAxis,
+    Cage, FaceMaterials, Input, Light, LightKind, Linked, Material, MaterialId, Mesh, MeshId,
+    Normals, Prim, PrimId, PrimSource, Purpose, Scene, StageInfo, UpAxis,
 };
 use surflux::shading::SurfacePoint;
 
@@ -62,7 +62,7 @@ impl SceneBuilder {
         let id = u32::try_from(self.scene.prims.len()).expect("few prims");
         self.scene.meshes.push(mesh);
         self.scene.prims.push(Prim {
-            path: format!("/World/{name}"),
+            path: format!("/World/{name}").into(),
             mesh: MeshId(id),
             world_from_object: Affine3A::IDENTITY,
             materials: FaceMaterials::Whole(Some(material)),
@@ -82,6 +82,8 @@ impl SceneBuilder {
             world_from_light: Affine3A::IDENTITY,
             shaping: None,
             casts_shadows: true,
+            lit: Linked::All,
+            blockers: Linked::All,
         });
     }
 

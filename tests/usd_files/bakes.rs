@@ -80,19 +80,19 @@ def Xform "World" {{
 fn native(root: &str) -> (String, PrimSource) {
     let source = PrimSource::NativeInstance {
         instances: Arc::new([EnclosingInstance {
-            path: root.to_owned(),
-            first: "/World/i1".to_owned(),
+            path_length: root.len(),
+            first: "/World/i1".into(),
         }]),
-        shared_path: "/World/i1/quad".to_owned(),
+        shared_path: "/World/i1/quad".into(),
     };
     (format!("{root}/quad"), source)
 }
 
 fn point(index: u32) -> (String, PrimSource) {
     let source = PrimSource::PointInstance {
-        instancer: "/World/I".to_owned(),
+        instancer: "/World/I".into(),
         index,
-        shared_path: "/World/I/P/quad".to_owned(),
+        shared_path: "/World/I/P/quad".into(),
     };
     (format!("/World/I[{index}]/quad"), source)
 }
@@ -107,8 +107,8 @@ fn scene(info: &StageInfo) -> Scene {
         point(0),
         point(1),
     ];
-    let prim = |(path, source)| Prim {
-        path,
+    let prim = |(path, source): (String, PrimSource)| Prim {
+        path: path.into(),
         mesh: MeshId(0),
         world_from_object: Affine3A::IDENTITY,
         materials: FaceMaterials::Whole(None),

@@ -2,7 +2,7 @@ use super::crowd::{LANES, Sums};
 use super::*;
 use crate::gather::testing::receivers_at;
 use crate::lighting::{LightSamples, Lighting};
-use crate::scene::{Light, LightKind, Scene};
+use crate::scene::{Light, LightKind, Linked, Scene};
 use crate::shading::Shader;
 use crate::trace::Tracer;
 use crate::trace::testing::{Random, mesh, scene};
@@ -187,6 +187,8 @@ fn lit(image: fn(usize, usize) -> Vec3) -> (Lighting, impl Fn(Vec3) -> Vec3) {
         world_from_light: Affine3A::IDENTITY,
         shaping: None,
         casts_shadows: true,
+        lit: Linked::All,
+        blockers: Linked::All,
     });
     let quiet = Diagnostics::default();
     let shader = Shader::new(&scene, &quiet);

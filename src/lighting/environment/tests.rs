@@ -3,7 +3,7 @@
 use super::super::ShadePoint;
 use super::texels::even_map;
 use super::*;
-use crate::scene::Light;
+use crate::scene::{Light, Linked};
 use crate::trace::Tracer;
 use crate::trace::testing::{Random, mesh, scene};
 use glam::{Affine3A, DVec3};
@@ -49,6 +49,7 @@ fn facing(normal: Vec3) -> ShadePoint {
         normal,
         geometric_normal: normal,
         smooth_offset: None,
+        prim: None,
     }
 }
 
@@ -175,6 +176,8 @@ fn domes_look_up_their_map_in_their_own_frame_and_add_up() {
         world_from_light: Affine3A::from_scale(Vec3::splat(7.0)),
         shaping: None,
         casts_shadows: true,
+        lit: Linked::All,
+        blockers: Linked::All,
     };
     let lights = [dome(1.0), dome(0.5), dome(0.0)];
     let two = divided(Environment::new(&lights, &Diagnostics::default()));
@@ -196,6 +199,8 @@ fn a_missing_texture_is_a_warning_and_an_even_sky() {
         world_from_light: Affine3A::IDENTITY,
         shaping: None,
         casts_shadows: true,
+        lit: Linked::All,
+        blockers: Linked::All,
     };
     let sky = Environment::new(&[dome], &diagnostics);
     assert_eq!(diagnostics.warnings().len(), 1);

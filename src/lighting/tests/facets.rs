@@ -21,6 +21,7 @@ fn coarse_ball() -> (Vec<[Vec3; 3]>, Vec<ShadePoint>) {
                 normal,
                 geometric_normal: plane,
                 smooth_offset: Some(smooth_offset(corners, &normals, weights, normal)),
+                prim: None,
             });
         }
     }
@@ -49,6 +50,7 @@ fn facets_of_a_coarse_smooth_ball_do_not_show_at_the_terminator() {
     let flat: Vec<_> = (points.iter())
         .map(|point| ShadePoint {
             smooth_offset: None,
+            prim: None,
             ..*point
         })
         .collect();

@@ -42,7 +42,8 @@ pub struct StageSummary {
     pub time: Option<f64>,
     /// Number of layers used.
     pub layers: usize,
-    /// World bounds: lower, upper corner, stage units; none for a stage without surfaces.
+    /// World bounds, those of subdivision surfaces around their control points: lower, upper corner, stage units; none
+    /// for a stage without surfaces.
     pub bounds: Option<[[f64; 3]; 2]>,
     /// What counts, by place: parents before children, most of the stage's depth left out.
     pub tree: Vec<TreeEntry>,
@@ -160,9 +161,10 @@ pub fn info(job: &InfoJob, diagnostics: &Diagnostics) -> Result<StageSummary, Er
     let mut source = stage::open(&job.path, job.door, diagnostics)?;
     let settings = read_settings(job, job.times()[0], needs);
     let raw = stage::compose(source.as_mut(), &settings, diagnostics)?;
-    let scene = stage::passes::scene(&raw, &settings, diagnostics)?;
+    let (scene, triangles) = stage::passes::outline(&raw, &settings, diagnostics)?;
     drop(phase);
     let mut summary = summarize(&scene);
+    summary.geometry.triangles = triangles;
     summary.tree = tree::of(&raw);
     summary.animation = tree::animation(&raw);
     summary.textures = textures::of(&scene);
@@ -250,7 +252,6 @@ fn geometry(scene: &Scene) -> GeometrySummary {
     let mut summary = GeometrySummary {
         prims: scene.prims.len(),
         meshes: scene.meshes.len(),
-        triangles: scene.triangle_count(),
         ..GeometrySummary::default()
     };
     for mesh in &scene.meshes {

@@ -1,8 +1,10 @@
 //! The crate's values → [`Value`]: all widths of a kind unified, matrices transposed, quaternions as (x, y, z, w).
 
 use crate::stage::raw::Value;
+use bytemuck::allocation::cast_vec;
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
 use openusd::{gf, sdf};
+use std::borrow::Cow;
 
 /// Floating-point width of a value USD can interpolate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -99,6 +101,26 @@ fn real(sample: &sdf::Value) -> Option<f64> {
         V::Token(word) => word.as_str().parse().ok(),
         _ => None,
     }
+}
+
+/// [`value`], without a copy of the large arrays that need no conversion, if `from` is given away.
+pub(super) fn value_of(
+    from: Cow<'_, sdf::Value>,
+    resolve: &dyn Fn(&str) -> String,
+) -> Option<Value> {
+    use sdf::Value as V;
+    let from = match from {
+        Cow::Owned(from) => from,
+        Cow::Borrowed(from) => return value(from, resolve),
+    };
+    Some(match from {
+        V::IntVec(v) => Value::IntArray(v),
+        V::Int64Vec(v) => Value::Int64Array(v),
+        V::FloatVec(v) => Value::FloatArray(v),
+        V::Vec2fVec(v) => Value::Vec2Array(cast_vec(v)),
+        V::Vec3fVec(v) => Value::Vec3Array(cast_vec(v)),
+        other => return value(&other, resolve),
+    })
 }
 
 /// `from` in our kinds; `None` for a block, and for kinds no scene needs (dictionaries, matrix2d, matrix3d …).
@@ -268,6 +290,21 @@ mod tests {
             matrix.transform_point3(DVec3::ZERO),
             DVec3::new(1.0, 2.0, 3.0)
         );
+    }
+
+    #[test]
+    fn what_is_given_away_is_what_is_copied() {
+        let vectors = [gf::vec3f(1.0, 2.0, 3.0), gf::vec3f(-4.0, 5.0, 6.5)];
+        for from in [
+            sdf::Value::IntVec(vec![1, -2]),
+            sdf::Value::Vec2fVec(vec![gf::vec2f(1.0, 2.0)]),
+            sdf::Value::Vec3fVec(vectors.to_vec()),
+            sdf::Value::DoubleVec(vec![0.5]),
+            sdf::Value::ValueBlock,
+        ] {
+            let copied = plain(&from);
+            assert_eq!(value_of(Cow::Owned(from), &|_| String::new()), copied);
+        }
     }
 
     #[test]

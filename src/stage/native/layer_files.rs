@@ -9,6 +9,7 @@ use openusd::sdf::AbstractData;
 use openusd::usdc::CrateData;
 use std::cell::RefCell;
 use std::collections::HashMap;
+use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::{Component, Path, PathBuf};
 use std::rc::Rc;
@@ -33,7 +34,7 @@ pub(super) struct LayerFiles {
     packages: RefCell<HashMap<PathBuf, Option<Rc<Package>>>>,
     udims: RefCell<HashMap<String, bool>>,
     classes: RefCell<ClassArcs>,
-    last: RefCell<Option<(PathBuf, Option<Bytes>)>>,
+    last: RefCell<Option<(PathBuf, Option<Opened>)>>,
 }
 
 /// Identifier of the session layer of a stage that has none of its own: no file has such a name.
@@ -51,7 +52,18 @@ impl AsRef<[u8]> for Bytes {
     }
 }
 
-/// A file the crate reads.
+/// A binary layer longer than this, bytes, is not held here once it is checked: the crate makes itself a copy, which
+/// stays as long as the stage.
+const LARGE: usize = 8 << 20;
+
+/// What is known of the layer opened last.
+enum Opened {
+    Small(Bytes),
+    /// Sound, and to be read from its file.
+    Large,
+}
+
+/// Bytes in memory as the crate reads them.
 struct LayerAsset(Cursor<Bytes>);
 
 impl Read for LayerAsset {
@@ -72,7 +84,38 @@ impl Asset for LayerAsset {
     }
 }
 
-/// The same, as the resolver the crate's stage owns.
+/// A file as the crate reads it.
+struct LayerFile(File);
+
+impl Read for LayerFile {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        self.0.read(into)
+    }
+}
+
+impl Seek for LayerFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.0.seek(to)
+    }
+}
+
+impl Asset for LayerFile {
+    fn size(&self) -> io::Result<u64> {
+        Ok(self.0.metadata()?.len())
+    }
+}
+
+impl Opened {
+    /// The layer at `path`, from its start.
+    fn asset(&self, path: &str) -> io::Result<Box<dyn Asset>> {
+        Ok(match self {
+            Self::Small(bytes) => Box::new(LayerAsset(Cursor::new(bytes.clone()))),
+            Self::Large => Box::new(LayerFile(File::open(path)?)),
+        })
+    }
+}
+
+/// [`LayerFiles`] as the resolver the crate's stage owns.
 pub(super) struct SharedFiles(pub(super) Rc<LayerFiles>);
 
 impl LayerFiles {
@@ -214,18 +257,23 @@ impl LayerFiles {
         found
     }
 
-    /// The bytes of the file `path`, repaired or checked if it is a layer. The crate opens a layer up to three times in
-    /// a row.
-    fn open(&self, path: &str) -> io::Result<Bytes> {
-        if let Some((last, Some(bytes))) = &*self.last.borrow()
+    /// The file `path`, repaired or checked if it is a layer. The crate opens a layer up to three times in a row.
+    fn open(&self, path: &str) -> io::Result<Box<dyn Asset>> {
+        if let Some((last, Some(opened))) = &*self.last.borrow()
             && last.as_os_str() == path
         {
-            return Ok(bytes.clone());
+            return opened.asset(path);
         }
         *self.last.borrow_mut() = Some((PathBuf::from(path), None));
-        let bytes = Bytes(Arc::new(self.read(path)?));
-        *self.last.borrow_mut() = Some((PathBuf::from(path), Some(bytes.clone())));
-        Ok(bytes)
+        let bytes = self.read(path)?;
+        let is_file = ar::split_package_relative_path_outer(path).is_none();
+        let opened = match is_file && bytes.len() > LARGE && bytes.starts_with(CRATE_MAGIC) {
+            true => Opened::Large,
+            false => Opened::Small(Bytes(Arc::new(bytes))),
+        };
+        let asset = opened.asset(path);
+        *self.last.borrow_mut() = Some((PathBuf::from(path), Some(opened)));
+        asset
     }
 
     fn read(&self, path: &str) -> io::Result<Vec<u8>> {
@@ -285,8 +333,7 @@ impl Resolver for SharedFiles {
     }
 
     fn open_asset(&self, resolved_path: &ResolvedPath) -> io::Result<Box<dyn Asset>> {
-        let bytes = self.0.open(&resolved_path.to_string_lossy())?;
-        Ok(Box::new(LayerAsset(Cursor::new(bytes))))
+        self.0.open(&resolved_path.to_string_lossy())
     }
 }
 

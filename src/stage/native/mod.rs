@@ -16,6 +16,7 @@ mod properties;
 mod session;
 mod text;
 mod traverse;
+mod twins;
 
 use super::raw::{RawStage, Request};
 use super::{Error, Source};

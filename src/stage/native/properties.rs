@@ -19,14 +19,17 @@ use std::cell::Ref;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Where a composed prim has opinions, strongest first.
-pub(super) struct Sites(Vec<Site>);
+#[derive(Clone)]
+pub(super) struct Sites(pub(super) Vec<Site>);
 
-struct Site {
+/// A layer and a place in it.
+#[derive(Clone)]
+pub(super) struct Site {
     /// Identifier of the layer.
-    layer: String,
-    path: sdf::Path,
+    pub(super) layer: String,
+    pub(super) path: sdf::Path,
     /// Stage time = offset applied to layer time.
-    offset: LayerOffset,
+    pub(super) offset: LayerOffset,
 }
 
 /// A site with its layer borrowed from the stage; no layer may be loaded while one lives.
@@ -164,6 +167,20 @@ impl Sites {
         found
     }
 
+    /// Names of the properties that any site has, sorted.
+    pub(super) fn property_names(&self, stage: &Stage) -> Result<Vec<String>, Fault> {
+        let mut names = BTreeSet::new();
+        for opinions in self.borrow(stage) {
+            let field = ChildrenKey::PropertyChildren.as_str();
+            if let Some(sdf::Value::TokenVec(found)) =
+                opinions.field(&opinions.site.path, field)?.as_deref()
+            {
+                names.extend(found.iter().map(ToString::to_string));
+            }
+        }
+        Ok(names.into_iter().collect())
+    }
+
     /// True if any site has `field`.
     pub(super) fn has_prim_field(&self, stage: &Stage, field: &str) -> bool {
         self.borrow(stage)
@@ -241,15 +258,31 @@ impl<'a> Properties<'a> {
     ) -> Result<(), Fault> {
         let names = self.stage.prim(path.clone()).property_names();
         let names = names.map_err(|error| sites.fault(&error))?;
+        let names: Vec<&str> = names.iter().map(|name| name.as_str()).collect();
+        self.read_named(&names, path, sites, prim)?;
+        if clips {
+            self.clipped(path, sites, prim)?;
+        }
+        Ok(())
+    }
+
+    /// Fill `prim` with its properties `names`, but for what value clips say.
+    pub(super) fn read_named(
+        &self,
+        names: &[&str],
+        path: &sdf::Path,
+        sites: &Sites,
+        prim: &mut RawPrim,
+    ) -> Result<(), Fault> {
         let moves = self.request.time.is_some()
             && prim.type_name == "PointInstancer"
-            && names.iter().any(|name| MOVERS.contains(&name.as_str()));
+            && names.iter().any(|name| MOVERS.contains(name));
         let is_moved = |name: &str| moves && MOVED.contains(&name);
         let mut connected = Vec::new();
         {
             let opinions: Vec<Opinions<'_>> = sites.borrow(self.stage).collect();
-            for name in names {
-                let specs = specs(&opinions, name.as_str())?;
+            for &name in names {
+                let specs = specs(&opinions, name)?;
                 let Some((strongest, at)) = specs.first() else {
                     continue;
                 };
@@ -262,11 +295,9 @@ impl<'a> Properties<'a> {
                         };
                         prim.relationships.insert(name.to_string(), relationship);
                     }
-                    Some(SpecType::Attribute)
-                        if self.request.wants(name.as_str()) || is_moved(name.as_str()) =>
-                    {
-                        let mut attribute = self.attribute(name.as_str(), &specs)?;
-                        if is_moved(name.as_str()) {
+                    Some(SpecType::Attribute) if self.request.wants(name) || is_moved(name) => {
+                        let mut attribute = self.attribute(name, &specs)?;
+                        if is_moved(name) {
                             attribute.held = self.held(&specs, &attribute.type_name)?;
                         }
                         if specs.iter().any(|(o, at)| {
@@ -280,11 +311,7 @@ impl<'a> Properties<'a> {
                 }
             }
         }
-        self.targets(path, sites, &connected, prim)?;
-        if clips {
-            self.clipped(path, sites, prim)?;
-        }
-        Ok(())
+        self.targets(path, sites, &connected, prim)
     }
 
     /// Targets and connections; apart from the rest because composing them may load layers.
@@ -363,7 +390,7 @@ impl<'a> Properties<'a> {
                 ));
             }
             if let Some(default) = opinions.field(at, FieldKey::Default.as_str())? {
-                let value = convert::value(&default, &resolve);
+                let value = convert::value_of(default, &resolve);
                 attribute.value = value.map(|value| opinions.retimed(value, &attribute.type_name));
                 return Ok(());
             }

@@ -7,12 +7,12 @@ use super::traverse::Traversal;
 use super::{OTHER_DOOR, Outcome};
 use crate::diagnostics::{CancelToken, Warning};
 use crate::stage::composition::{self, ChoiceOutcome};
-use crate::stage::raw::Request;
+use crate::stage::raw::{RawStage, Request};
 use crate::stage::{Composition, Error, Load, VariantChoice};
 use openusd::sdf::{self, FieldKey};
 use openusd::usd::{InitialLoadSet, Stage, StageBuilder, StagePopulationMask};
 use std::any::Any;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -66,10 +66,14 @@ impl Session {
     pub(super) fn load(&mut self, request: &Request, cancel: &CancelToken) -> Outcome {
         self.guarded(|session| {
             let stage = session.stage(&request.mask, &request.composition)?;
-            let (raw, mut warnings) =
-                Traversal::new(&stage, &session.files, request, cancel).run(&session.root)?;
+            let traversal = || Traversal::new(&stage, &session.files, request, cancel);
+            let (mut raw, mut warnings) = traversal().run(&session.root)?;
+            let mut errors = stage.composition_errors();
+            if !errors.is_empty() && shares_prototypes(&raw) {
+                (raw, warnings) = traversal().without_twins().run(&session.root)?;
+                errors = stage.composition_errors();
+            }
             warnings.extend(session.judge_choices(&stage, &request.composition.variants)?);
-            let errors = stage.composition_errors();
             warnings.extend(session.judge(&errors)?);
             Ok((raw, warnings))
         })
@@ -194,6 +198,13 @@ impl Session {
             message: format!("{message}; {OTHER_DOOR}"),
         }
     }
+}
+
+/// True if two instances have one prototype.
+fn shares_prototypes(raw: &RawStage) -> bool {
+    let mut met = HashSet::new();
+    let mut prototypes = raw.prims.iter().filter_map(|prim| prim.prototype);
+    prototypes.any(|prototype| !met.insert(prototype))
 }
 
 /// Write `choices` into the stage's session layer, in memory.

@@ -3,13 +3,16 @@
 use super::OTHER_DOOR;
 use super::layer_files::{EMPTY_SESSION, LayerFiles};
 use super::properties::{Fault, InstanceKey, Properties, Sites, text};
+use super::twins::{Siblings, Sole, Twin};
 use crate::diagnostics::{CancelToken, Cancelled, Warning};
 use crate::stage::raw::{RawMeta, RawPrim, RawStage, ReadCounts, Request};
 use crate::stage::{Error, Load};
 use openusd::sdf::{self, FieldKey};
 use openusd::usd::{ClipsAPI, Stage};
+use std::cell::RefCell;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 /// One walk over a stage.
 pub(super) struct Traversal<'a> {
@@ -29,6 +32,8 @@ pub(super) struct Traversal<'a> {
     unloaded: Vec<String>,
     /// It was told that there are more than [`MANY_LAYERS`].
     many_layers: bool,
+    /// Prims beside each other may be composed as one.
+    finds_twins: bool,
 }
 
 /// The crate wires all layers anew for every one it opens: 500, 1000 and 2000 referenced layers take 0.2, 1.1 and 7.4 s
@@ -43,6 +48,8 @@ struct Pending {
     clips: bool,
     /// A prototype's root: always there, whatever its specifier.
     root: bool,
+    /// What it may have in common with its siblings.
+    siblings: Option<Rc<RefCell<Siblings>>>,
 }
 
 impl<'a> Traversal<'a> {
@@ -65,6 +72,15 @@ impl<'a> Traversal<'a> {
             warnings: Vec::new(),
             unloaded: Vec::new(),
             many_layers: false,
+            finds_twins: request.mask.is_empty() && request.composition.load == Load::All,
+        }
+    }
+
+    /// Every prim is composed by itself, so that every error is found at every prim that has it.
+    pub(super) fn without_twins(self) -> Self {
+        Self {
+            finds_twins: false,
+            ..self
         }
     }
 
@@ -84,6 +100,7 @@ impl<'a> Traversal<'a> {
                 parent: None,
                 clips: false,
                 root: false,
+                siblings: None,
             })
         });
         let pending = pending.collect();
@@ -120,6 +137,7 @@ impl<'a> Traversal<'a> {
                 parent: None,
                 clips: false,
                 root: true,
+                siblings: None,
             }])?;
         }
         Ok(roots)
@@ -157,6 +175,15 @@ impl<'a> Traversal<'a> {
 
     /// Add the prim, if it is to be seen, and return its children.
     fn visit(&mut self, next: &Pending) -> Result<Vec<Pending>, Fault> {
+        let siblings = next.siblings.as_ref();
+        let mut sole = siblings.and_then(|all| all.borrow().sole(self.stage, &next.path));
+        if let (Some(siblings), Some(own)) = (siblings, sole.take()) {
+            let twin = siblings.borrow().twin(&own);
+            match twin {
+                Some(twin) => return self.add_twin(next, own, &twin),
+                None => sole = Some(own),
+            }
+        }
         let sites = Sites::of(self.stage, &next.path).map_err(|error| Fault {
             layer: self.stage.root_layer().identifier().to_owned(),
             message: format!("{}: {error:#}", next.path),
@@ -178,15 +205,21 @@ impl<'a> Traversal<'a> {
         let clips = next.clips || own_clips;
         let index = self.prims.len();
         self.prims.push(self.prim(next, &sites, clips)?);
-        let prototype = handle.prototype().map_err(|error| sites.fault(&error))?;
-        if let Some(prototype) = prototype.filter(|_| !next.root) {
-            let key =
-                InstanceKey::of(self.stage, &next.path).map_err(|error| sites.fault(&error))?;
-            let number = self.number(key, prototype);
+        let is_instance = handle.is_instance().map_err(|error| sites.fault(&error))?;
+        if is_instance && !next.root {
+            let number = self.prototype_number(&next.path);
+            let number = number.map_err(|error| sites.fault(&error))?;
             self.instances.push((index, number));
+            if let (Some(siblings), Some(sole)) = (siblings, sole) {
+                let mut siblings = siblings.borrow_mut();
+                siblings.remember(sole, sites, &self.prims[index], number);
+            }
             return Ok(Vec::new());
         }
         let names = handle.child_names().map_err(|error| sites.fault(&error))?;
+        let has_siblings = self.finds_twins && !clips && names.len() > 1;
+        let siblings = has_siblings.then(|| Siblings::new(sites, self.stage));
+        let siblings = siblings.map(|siblings| Rc::new(RefCell::new(siblings)));
         let children = names
             .iter()
             .filter_map(|name| next.path.append_path(name.as_str()).ok());
@@ -195,8 +228,25 @@ impl<'a> Traversal<'a> {
             parent: Some(index),
             clips,
             root: false,
+            siblings: siblings.clone(),
         };
         Ok(children.map(child).collect())
+    }
+
+    /// Add the prim that `own` makes, an instance like `twin`.
+    fn add_twin(&mut self, next: &Pending, own: Sole, twin: &Twin) -> Result<Vec<Pending>, Fault> {
+        let sites = twin.sites(own);
+        let names = sites.property_names(self.stage)?;
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let mut prim = RawPrim {
+            path: next.path.to_string(),
+            ..twin.prim.clone()
+        };
+        let properties = &self.properties;
+        properties.read_named(&names, &next.path, &sites, &mut prim)?;
+        self.instances.push((self.prims.len(), twin.number));
+        self.prims.push(prim);
+        Ok(Vec::new())
     }
 
     /// The prim itself. A prototype's root is bare: what it holds belongs to the instances, which have it too.
@@ -242,13 +292,20 @@ impl<'a> Traversal<'a> {
         Ok(sites.prim_field(self.stage, field.as_str())?.and_then(text))
     }
 
-    fn number(&mut self, key: InstanceKey, prototype: sdf::Path) -> usize {
-        let next = self.prototypes.len();
-        let number = *self.numbers.entry(key).or_insert(next);
-        if number == next {
-            self.prototypes.push(prototype);
+    /// Number of the prototype of the instance at `path`. The crate is asked for one of its own only once for all that
+    /// share it: it searches through all instances of a prototype for every further one.
+    fn prototype_number(&mut self, path: &sdf::Path) -> anyhow::Result<usize> {
+        let key = InstanceKey::of(self.stage, path)?;
+        if let Some(number) = self.numbers.get(&key) {
+            return Ok(*number);
         }
-        number
+        let prototype = self.stage.prim(path.clone()).prototype()?;
+        let prototype = prototype
+            .ok_or_else(|| anyhow::anyhow!("<{path}> is an instance without a prototype"))?;
+        let number = self.prototypes.len();
+        self.prototypes.push(prototype);
+        self.numbers.insert(key, number);
+        Ok(number)
     }
 
     /// One plain set of value clips is read like Pixar does; of several, the crate may take the wrong one.

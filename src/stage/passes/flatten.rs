@@ -10,6 +10,7 @@ use super::xform;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{EnclosingInstance, PrimSource, Purpose};
 use glam::DMat4;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// One occurrence of a prim on the flattened stage.
@@ -47,8 +48,10 @@ pub fn flatten(
         raw,
         diagnostics,
         occurrences: Vec::with_capacity(raw.prims.len()),
-        first_occurrence: vec![None; raw.prims.len()],
+        first_paths: vec![None; raw.prims.len()],
         first_instance: vec![None; raw.prims.len()],
+        no_instances: Arc::new([]),
+        enclosing: HashMap::new(),
     };
     let stage_prims = raw.prims.iter().take(raw.prototype_start).enumerate();
     let mut pending: Vec<Pending> = stage_prims
@@ -116,10 +119,13 @@ struct Unfolding<'a> {
     raw: &'a RawStage,
     diagnostics: &'a Diagnostics,
     occurrences: Vec<Occurrence>,
-    /// First occurrence of every prim: names the shared path of instanced prims.
-    first_occurrence: Vec<Option<usize>>,
-    /// First occurrence of an instance of every prototype root.
-    first_instance: Vec<Option<usize>>,
+    /// Path of the first occurrence of every prim below a prototype.
+    first_paths: Vec<Option<Arc<str>>>,
+    /// Path of the first instance of every prototype root.
+    first_instance: Vec<Option<Arc<str>>>,
+    no_instances: Arc<[EnclosingInstance]>,
+    /// Instances above, by those above the innermost of them, the length of its path, and its prototype.
+    enclosing: HashMap<(*const EnclosingInstance, usize, usize), Arc<[EnclosingInstance]>>,
 }
 
 impl Unfolding<'_> {
@@ -144,11 +150,12 @@ impl Unfolding<'_> {
 
     fn add(&mut self, pending: &Pending) -> usize {
         let prim = &self.raw.prims[pending.prim];
-        let parent = pending.parent.map(|index| &self.occurrences[index]);
-        let path = match parent {
+        let path = match pending.parent.map(|index| &self.occurrences[index]) {
             None => prim.path.clone(),
             Some(parent) => format!("{}/{}", parent.path, name_of(&prim.path)),
         };
+        let source = self.source(pending, &path);
+        let parent = pending.parent.map(|index| &self.occurrences[index]);
         let local = xform::local(prim);
         let world_from_parent = match parent {
             Some(parent) if !local.resets_stack => parent.world_from_local,
@@ -162,7 +169,7 @@ impl Unfolding<'_> {
             purpose: authored_purpose(prim, self.diagnostics)
                 .or(parent.map(|parent| parent.purpose))
                 .unwrap_or_default(),
-            source: self.source(pending, &path),
+            source,
             path,
         };
         if local.flawed_op_count > 0 {
@@ -176,54 +183,53 @@ impl Unfolding<'_> {
             );
         }
         let index = self.occurrences.len();
-        self.first_occurrence[pending.prim].get_or_insert(index);
         if let Some(prototype) = prim.prototype {
-            self.first_instance[prototype].get_or_insert(index);
+            let path = &occurrence.path;
+            self.first_instance[prototype].get_or_insert_with(|| Arc::from(path.as_str()));
         }
         self.occurrences.push(occurrence);
         index
     }
 
-    fn source(&self, pending: &Pending, path: &str) -> PrimSource {
+    fn source(&mut self, pending: &Pending, path: &str) -> PrimSource {
         if pending.instance_depth == 0 {
             return PrimSource::Direct;
         }
-        let first = self.first_occurrence[pending.prim];
+        let instances = match pending.parent {
+            Some(parent) => self.instances_down_to(parent),
+            None => self.no_instances.clone(),
+        };
+        let first = &mut self.first_paths[pending.prim];
         PrimSource::NativeInstance {
-            instances: pending
-                .parent
-                .map_or_else(none, |parent| self.instances_down_to(parent)),
-            shared_path: first.map_or_else(
-                || path.to_owned(),
-                |index| self.occurrences[index].path.clone(),
-            ),
+            instances,
+            shared_path: first.get_or_insert_with(|| Arc::from(path)).clone(),
         }
     }
 
     /// The instances above the children of `occurrence`.
-    fn instances_down_to(&self, occurrence: usize) -> Arc<[EnclosingInstance]> {
+    fn instances_down_to(&mut self, occurrence: usize) -> Arc<[EnclosingInstance]> {
         let Occurrence {
             prim, path, source, ..
         } = &self.occurrences[occurrence];
         let above = match source {
             PrimSource::NativeInstance { instances, .. } => instances.clone(),
-            _ => none(),
+            _ => self.no_instances.clone(),
         };
         let Some(prototype) = self.raw.prims[*prim].prototype else {
             return above;
         };
-        let first = self.first_instance[prototype].unwrap_or(occurrence);
-        let this = EnclosingInstance {
-            path: path.clone(),
-            first: self.occurrences[first].path.clone(),
-        };
-        above.iter().cloned().chain([this]).collect()
+        // those above are kept here too, so that no two of them are ever at one address
+        let key = (above.as_ptr(), path.len(), prototype);
+        let first = &self.first_instance[prototype];
+        let all = self.enclosing.entry(key).or_insert_with(|| {
+            let this = EnclosingInstance {
+                path_length: path.len(),
+                first: first.clone().unwrap_or_else(|| Arc::from(path.as_str())),
+            };
+            above.iter().cloned().chain([this]).collect()
+        });
+        all.clone()
     }
-}
-
-/// Those above an occurrence below none.
-fn none() -> Arc<[EnclosingInstance]> {
-    Arc::new([])
 }
 
 /// The last element of a prim path.
@@ -330,11 +336,11 @@ mod tests {
             PrimSource::NativeInstance {
                 instances: Arc::new([
                     EnclosingInstance {
-                        path: "/B".into(),
+                        path_length: "/B".len(),
                         first: "/A".into(),
                     },
                     EnclosingInstance {
-                        path: "/B/n".into(),
+                        path_length: "/B/n".len(),
                         first: "/A/n".into(),
                     },
                 ]),

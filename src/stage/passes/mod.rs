@@ -10,6 +10,7 @@ use super::raw::{RawAttribute, RawMeta, RawPrim, RawStage};
 use super::{Error, ReadSettings, VariantChoice};
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Scene, StageInfo, UpAxis};
+use geometry::Detail;
 
 /// USD's `metersPerUnit` where none is authored.
 const DEFAULT_METERS_PER_UNIT: f64 = 0.01;
@@ -25,6 +26,28 @@ pub fn scene(
     settings: &ReadSettings,
     diagnostics: &Diagnostics,
 ) -> Result<Scene, Error> {
+    Ok(scene_in(raw, settings, Detail::Full, diagnostics)?.0)
+}
+
+/// [`scene`] with the cages of subdivision surfaces in their place, and how many triangles all that is drawn has in
+/// [`scene`]: what there is to tell of a stage, without refining it.
+///
+/// # Errors
+/// As [`scene`].
+pub fn outline(
+    raw: &RawStage,
+    settings: &ReadSettings,
+    diagnostics: &Diagnostics,
+) -> Result<(Scene, usize), Error> {
+    scene_in(raw, settings, Detail::Cages, diagnostics)
+}
+
+fn scene_in(
+    raw: &RawStage,
+    settings: &ReadSettings,
+    detail: Detail,
+    diagnostics: &Diagnostics,
+) -> Result<(Scene, usize), Error> {
     if settings.time.is_none() {
         warn_of_unread_samples(raw, diagnostics);
     }
@@ -33,19 +56,25 @@ pub fn scene(
     let layout = geometry::lay_out(raw, &occurrences, settings, diagnostics)?;
     let look = look::resolve(raw, &occurrences, layout.origin(), settings, diagnostics);
     let origin = layout.origin();
-    let (meshes, prims) = layout.build(&look, diagnostics)?;
+    let built = layout.build(&look, detail, diagnostics)?;
+    let of_prims = built
+        .prims
+        .iter()
+        .map(|prim| built.triangles[prim.mesh.index()]);
+    let triangles = of_prims.sum();
     let mut scene = Scene {
         stage: stage_info(&raw.meta, settings, diagnostics),
         origin,
-        meshes,
-        prims,
+        meshes: built.meshes,
+        prims: built.prims,
         materials: look.materials,
         lights: look.lights,
         cameras: look.cameras,
         render_settings: look.render_settings,
     };
+    look::links::apply(&mut scene, &look.links);
     look::mesh_lights::shine(&mut scene, &look.mesh_lights, diagnostics);
-    Ok(scene)
+    Ok((scene, triangles))
 }
 
 /// Who forgets `--frames` gets an animated stage without what moves: as USD's default time has it, but not in silence.

@@ -11,6 +11,7 @@ Requests (one JSON object a line on stdin):
 Replies (one line on stdout each): {"ok": ...} or {"error": MESSAGE}; the very first line says what was imported.
 All numbers keep the memory order of USD: a row-vector matrix read as columns is its transpose.
 """
+import gc
 import json
 import os
 import re
@@ -22,6 +23,9 @@ import tempfile
 # `python -c` puts the current folder first: a file called numpy.py there must not be imported.
 if sys.path and sys.path[0] == "":
     del sys.path[0]
+
+# An index is a tree: nothing here runs in circles, and looking for that takes a third of a walk over 100 000 prims.
+gc.disable()
 
 # Ctrl-C in a terminal goes to the whole group; surflux decides what it means and ends this process itself.
 signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -62,6 +66,11 @@ LARGEST_INT = 2**63 - 1
 def number(value):
     """A float as its shortest exact spelling, NaN and infinities included: JSON readers round and refuse those."""
     return repr(float(value))
+
+
+def components(vector):
+    """By index: iterating over a Gf vector ends in an exception, which takes ten times as long."""
+    return [number(vector[i]) for i in range(vector.dimension)]
 
 
 class Arrays:
@@ -136,11 +145,11 @@ def scalar_value(value):
     if kind == "PathExpression":
         return {"token": value.GetText()}
     if kind.startswith("Vec"):
-        return {"vector": [number(component) for component in value]}
+        return {"vector": components(value)}
     if kind.startswith("Quat"):
-        return {"quat": [number(component) for component in value.GetImaginary()] + [number(value.GetReal())]}
+        return {"quat": components(value.GetImaginary()) + [number(value.GetReal())]}
     if kind == "Matrix4d":
-        return {"matrix": [number(component) for row in value for component in row]}
+        return {"matrix": [number(value[row, column]) for row in range(4) for column in range(4)]}
     return None
 
 
@@ -176,7 +185,9 @@ def array_value(value, arrays):
     """A Vt array as {"array": [offset, type, shape]} or {"tokens": [...]}; None for kinds without use."""
     kind = type(value).__name__
     if kind in ("TokenArray", "StringArray"):
-        return {"tokens": list(value)}
+        # iterating ends in an exception, which takes long for the many short ones (xformOpOrder)
+        few = len(value) <= 16
+        return {"tokens": [value[i] for i in range(len(value))] if few else list(value)}
     if kind == "AssetPathArray":
         return {"tokens": [asset.resolvedPath or asset.path for asset in value]}
     if kind == "TimeCodeArray":  # an array of objects before usd-core 25
@@ -232,6 +243,12 @@ class Loader:
         # Prototype paths are numbered anew in order of first use: usd-core's own numbers may differ between runs.
         self.prototypes = []
         self.prototype_numbers = {}
+        self.types = {}  # spelling, is an array, may have a color space; by type name
+        self.has_materialx = any(
+            asset.lower().endswith(".mtlx")
+            for layer in stage.GetUsedLayers()
+            for asset in layer.GetCompositionAssetDependencies()
+        )
 
     def walk(self):
         self.walk_range(Usd.PrimRange.Stage(self.stage, Usd.PrimDefaultPredicate))
@@ -266,7 +283,7 @@ class Loader:
         self.arrays = Arrays()
         self.values = 0
         for attribute, name, entry in self.varying:
-            value = self.value(attribute, attribute.GetTypeName().isArray)
+            value = self.value(attribute, attribute.GetTypeName().isArray, False)
             if value is None:
                 entry.pop("value", None)
             else:
@@ -279,19 +296,21 @@ class Loader:
         walk = iter(prim_range)
         base = None
         for prim in walk:
-            depth = prim.GetPath().pathElementCount
+            path = prim.GetPath()
+            depth = path.pathElementCount
             if base is None:
                 base = depth
             del parents[depth - base :]
             index = len(self.prims)
-            entry = self.prim_entry(prim)
+            entry = self.prim_entry(prim, str(path))
             if parents:
                 entry["parent"] = parents[-1]
             self.prims.append(entry)
             parents.append(index)
 
-    def prim_entry(self, prim):
-        entry = {"path": str(prim.GetPath()), "type": str(prim.GetTypeName())}
+    def prim_entry(self, prim, path):
+        type_name = prim.GetTypeName()
+        entry = {"path": path, "type": type_name}
         schemas = prim.GetAppliedSchemas()
         if schemas:
             entry["schemas"] = [str(schema) for schema in schemas]
@@ -300,15 +319,17 @@ class Loader:
             entry["kind"] = str(kind)
         if prim.IsInstance():
             entry["prototype"] = self.prototype_number(prim.GetPrototype())
-        if prim.HasAuthoredReferences() or prim.HasAuthoredPayloads():
+        if self.has_materialx and (prim.HasAuthoredReferences() or prim.HasAuthoredPayloads()):
             documents = self.materialx_entry(prim)
             if documents:
                 entry["materialx"] = documents
-        inactive = prim.GetMetadata("inactiveIds") if prim.GetTypeName() == "PointInstancer" else None
-        if inactive:
-            entry["inactive_ids"] = list(inactive.GetAddedOrExplicitItems())
+        moved = ()
+        if type_name == "PointInstancer":
+            inactive = prim.GetMetadata("inactiveIds")
+            if inactive:
+                entry["inactive_ids"] = list(inactive.GetAddedOrExplicitItems())
+            moved = MOVED if self.moves(prim) else ()
         attributes, relationships, unread = {}, {}, []
-        moved = MOVED if self.moves(prim) else ()
         for item in prim.GetAuthoredProperties():
             name = item.GetName()
             if isinstance(item, Usd.Relationship):
@@ -355,8 +376,8 @@ class Loader:
         return [targets, str(strength) if strength else None]
 
     def moves(self, prim):
-        """True for an instancer with velocities, asked for at a time."""
-        if self.time.IsDefault() or prim.GetTypeName() != "PointInstancer":
+        """True for an instancer `prim` with velocities, asked for at a time."""
+        if self.time.IsDefault():
             return False
         return any(prim.GetAttribute(name).HasAuthoredValue() for name in MOVERS)
 
@@ -369,38 +390,52 @@ class Loader:
         self.values += 1
         return [number(bracket[0]), array_value(value, self.arrays)]
 
-    def attribute_entry(self, attribute, name, is_moved):
+    def type_of(self, attribute):
+        """See `self.types`."""
         type_name = attribute.GetTypeName()
-        entry = {"type": str(type_name)}
-        if attribute.HasAuthoredConnections():
+        known = self.types.get(type_name)
+        if known is None:
+            spelling = str(type_name)
+            has_space = spelling.startswith(("color", "asset", "token", "string"))
+            known = self.types[type_name] = (spelling, type_name.isArray, has_space)
+        return known
+
+    def attribute_entry(self, attribute, name, is_moved):
+        spelling, is_array, has_space = self.type_of(attribute)
+        entry = {"type": spelling}
+        is_op = name.startswith("xformOp")  # they know neither connections nor color spaces
+        if not is_op and attribute.HasAuthoredConnections():
             entry["connections"] = [str(path) for path in attribute.GetConnections()]
-        if attribute.ValueMightBeTimeVarying():
-            entry["varying"] = True
-        if type_name.isArray or name.startswith("primvars:"):
+        if is_array and not is_op or name.startswith("primvars:"):
             interpolation = attribute.GetMetadata("interpolation")
             if interpolation:
                 entry["interpolation"] = str(interpolation)
             if attribute.HasAuthoredMetadata("elementSize"):
                 entry["element_size"] = attribute.GetMetadata("elementSize")
-        if attribute.HasColorSpace():
+        if has_space and not is_op and attribute.HasColorSpace():
             entry["color_space"] = str(attribute.GetColorSpace())
         if is_moved:
             held = self.held(attribute)
             if held:
                 entry["held"] = held
+        source = attribute.GetResolveInfo().GetSource()
+        is_default = source == Usd.ResolveInfoSourceDefault
+        if not is_default and attribute.ValueMightBeTimeVarying():
+            entry["varying"] = True
         if (self.wants(name) or is_moved) and not self.name_only(name):
-            value = self.value(attribute, type_name.isArray)
+            value = self.value(attribute, is_array, is_default)
             if value is not None:
                 entry["value"] = value
-            elif attribute.GetNumTimeSamples():
+            elif not is_default and attribute.GetNumTimeSamples():
                 entry["varying"] = True
             if "varying" in entry:
                 self.varying.append((attribute, name, entry))
         return entry
 
-    def value(self, attribute, is_array):
+    def value(self, attribute, is_array, is_default):
         # A fallback is not authored: a time-sampled attribute has none at the default time, a blocked one never.
-        if attribute.GetResolveInfo(self.time).GetSource() in FALLBACK_SOURCES:
+        # Where a default is the strongest opinion at other times, it is at the default time too.
+        if not is_default and attribute.GetResolveInfo(self.time).GetSource() in FALLBACK_SOURCES:
             return None
         value = attribute.Get(self.time)
         if value is None:

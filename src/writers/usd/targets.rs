@@ -87,31 +87,34 @@ fn target(
     targets: &mut Targets<'_>,
 ) -> Result<String, Refusal> {
     match (&prim.source, policy) {
-        (PrimSource::Direct, _) => Ok(prim.path.clone()),
+        (PrimSource::Direct, _) => Ok(prim.path.to_string()),
         (PrimSource::NativeInstance { instances, .. }, InstancePolicy::Shared) => {
             Ok(shared(prim, instances, classes, &mut targets.inherits))
         }
         (PrimSource::NativeInstance { instances, .. }, InstancePolicy::Deinstance) => {
-            let paths = instances.iter().map(|instance| instance.path.clone());
-            targets.deinstanced.extend(paths);
-            Ok(prim.path.clone())
+            let paths = instances
+                .iter()
+                .map(|instance| instance.path_above(&prim.path));
+            targets.deinstanced.extend(paths.map(str::to_owned));
+            Ok(prim.path.to_string())
         }
         (PrimSource::NativeInstance { instances, .. }, InstancePolicy::Skip) => Err(Refusal {
             prim: instances
                 .first()
-                .map_or_else(|| prim.path.clone(), |outermost| outermost.path.clone()),
+                .map_or(&*prim.path, |outermost| outermost.path_above(&prim.path))
+                .to_owned(),
             message: "instances are skipped, so what is below gets no baked values",
         }),
         (PrimSource::PointInstance { shared_path, .. }, InstancePolicy::Shared) => {
-            Ok(shared_path.clone())
+            Ok(shared_path.to_string())
         }
         (PrimSource::PointInstance { instancer, .. }, InstancePolicy::Deinstance) => Err(Refusal {
-            prim: instancer.clone(),
+            prim: instancer.to_string(),
             message: "the points of a PointInstancer cannot hold values of their own, so its instances get no baked \
                       values; --instances shared writes their average to the prototypes",
         }),
         (PrimSource::PointInstance { instancer, .. }, InstancePolicy::Skip) => Err(Refusal {
-            prim: instancer.clone(),
+            prim: instancer.to_string(),
             message: "instances are skipped, so its instances get no baked values",
         }),
     }
@@ -129,8 +132,9 @@ fn shared(
     let (mut above, mut stand_in) = ("", String::new());
     for instance in instances {
         let class = classes.of(&instance.first);
-        inherits.insert(below(&stand_in, above, &instance.path), class.clone());
-        (above, stand_in) = (&instance.path, class);
+        let path = instance.path_above(&prim.path);
+        inherits.insert(below(&stand_in, above, path), class.clone());
+        (above, stand_in) = (path, class);
     }
     below(&stand_in, above, &prim.path)
 }

@@ -4,9 +4,18 @@ use super::{Comparison, text};
 use crate::truth::{list, number};
 use glam::{DAffine3, DMat4, DVec3};
 use serde_json::Value;
+use std::collections::HashSet;
 use std::path::PathBuf;
 use surflux::scene::camera::Projection;
-use surflux::scene::{Camera, FaceMaterials, Input, Light, LightKind, RenderProduct};
+use surflux::scene::{
+    Camera, FaceMaterials, Input, Light, LightKind, PrimId, PrimSource, RenderProduct,
+};
+
+/// Paths of gprims that the collection `link` of a light does not hold.
+fn unlinked<'a>(light: &'a Value, link: &str) -> HashSet<&'a str> {
+    let paths = light["unlinked"][link].as_array().expect("a list");
+    paths.iter().map(text).collect()
+}
 
 impl Comparison<'_> {
     pub(super) fn lights(&mut self) {
@@ -17,17 +26,17 @@ impl Comparison<'_> {
             self.tally.prims += 1;
             if !theirs["mesh"].is_null() {
                 self.mesh_light(path, theirs);
+                for link in ["lightLink", "shadowLink"] {
+                    if !unlinked(theirs, link).is_empty() {
+                        self.one(path, link, false);
+                    }
+                }
                 continue;
             }
             let found = scene.lights.iter().find(|light| light.path == path);
             self.one(path, text(&theirs["type"]), found.is_some());
-            let linked = theirs["linked"]
-                .as_array()
-                .is_some_and(|links| !links.is_empty());
-            if linked {
-                self.one(path, "light linking", false);
-            }
             let Some(light) = found else { continue };
+            self.links(light, theirs);
             if theirs["old"].as_bool() == Some(true) {
                 self.tally.unjudged += 1;
                 continue;
@@ -38,7 +47,7 @@ impl Comparison<'_> {
 
     /// On every face the emission is the light's radiance, which the material's may tint.
     fn mesh_light(&mut self, path: &str, theirs: &Value) {
-        let Some(prim) = self.scene.prims.iter().find(|prim| prim.path == path) else {
+        let Some(prim) = self.scene.prims.iter().find(|prim| &*prim.path == path) else {
             return self.one(path, "mesh light", false);
         };
         let mut expected = list(&theirs["radiance"]);
@@ -57,6 +66,20 @@ impl Comparison<'_> {
         let is_own = text(&theirs["mesh"]["sync"]) != "materialGlowTintsLight";
         if is_own || material.path.is_empty() {
             self.numbers(path, "emission", &found, &expected);
+        }
+    }
+
+    /// Prims that the light lights, and that block it; points of instancers are not told apart by usd-core.
+    fn links(&mut self, light: &Light, theirs: &Value) {
+        let scene = self.scene;
+        for (link, linked) in [("lightLink", &light.lit), ("shadowLink", &light.blockers)] {
+            let unlinked = unlinked(theirs, link);
+            for (id, prim) in (0..).map(PrimId).zip(&scene.prims) {
+                if !matches!(prim.source, PrimSource::PointInstance { .. }) {
+                    let expected = !unlinked.contains(&*prim.path);
+                    self.one(&light.path, link, linked.contains(id) == expected);
+                }
+            }
         }
     }
 

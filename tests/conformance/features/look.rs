@@ -1,6 +1,7 @@
 //! Materials, lights, cameras and render settings.
 
 use super::*;
+use crate::scene_of;
 use surflux::scene::Input;
 
 #[test]
@@ -105,15 +106,72 @@ def RenderSettings "rs" { rel camera = </cam>
     equal_files(&files, Some(1.37), 6 + 6 + 1 + 1);
 }
 
+/// Four meshes, two of them below an instance, and a light with `body` that has the collection `link`.
+fn linked(light: &str, link: &str, body: &str) -> String {
+    format!(
+        "{}{}def Xform \"group\" {{ {} }}
+class Xform \"_class\" {{ {} }}
+def Xform \"copy\" ( instanceable = true; inherits = </_class> ) {{
+}}
+def Scope \"sets\" ( apiSchemas = [\"CollectionAPI:some\"] ) {{
+    uniform token collection:some:expansionRule = \"expandPrims\"
+    rel collection:some:includes = [</m>, </group>]
+    rel collection:some:excludes = </group/inner>
+}}
+def {light} \"l\" ( apiSchemas = [\"CollectionAPI:{link}\"] ) {{
+    {body}
+}}\n",
+        mesh("m", 1.0),
+        mesh("n", 2.0),
+        mesh("inner", 3.0),
+        mesh("proxy", 4.0)
+    )
+}
+
 #[test]
-fn links_of_lights_are_named() {
+fn lights_are_linked_to_the_prims_their_collections_hold() {
     for link in ["lightLink", "shadowLink"] {
-        let linked = format!(
-            "def SphereLight \"l\" ( apiSchemas = [\"CollectionAPI:{link}\"] ) {{
-        rel collection:{link}:excludes = </m>
-    }}\n"
-        );
-        unsupported(&format!("{linked}{}", mesh("m", 1.0)), "unsupported-light");
+        let name = |part: &str| format!("collection:{link}:{part}");
+        let (includes, excludes) = (name("includes"), name("excludes"));
+        let no_root = format!("uniform bool {} = 0\n", name("includeRoot"));
+        let rule = |rule: &str| format!("uniform token {} = \"{rule}\"\n", name("expansionRule"));
+        for body in [
+            String::new(),
+            format!("rel {excludes} = </m>"),
+            format!("rel {excludes} = [</group>, </copy>]"),
+            format!("rel {excludes} = </copy/proxy>\nrel {includes} = </m>"),
+            format!("rel {excludes} = </group>\nrel {includes} = </group/inner>"),
+            format!("{no_root}rel {includes} = [</m>, </copy>]"),
+            format!("{no_root}rel {includes} = </sets.collection:some>"),
+            format!("rel {includes} = </sets.collection:some>"),
+            no_root.clone(),
+            format!("{}rel {includes} = [</m>, </group>]", rule("explicitOnly")),
+            format!(
+                "{no_root}{}rel {includes} = [</m>, </group>]",
+                rule("expandPrimsAndProperties")
+            ),
+        ] {
+            equal(&linked("SphereLight", link, &body), None, 5);
+        }
+    }
+}
+
+#[test]
+fn links_of_domes_and_mesh_lights_are_named() {
+    for link in ["lightLink", "shadowLink"] {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("root.usda");
+        let body = format!("rel collection:{link}:excludes = </m>");
+        let text = format!("#usda 1.0\n{}", linked("DomeLight", link, &body));
+        fs::write(&path, text).expect("written");
+        for door in [Door::UsdCore, Door::Native] {
+            let (_, warnings) = scene_of(&path, door, &Reading::default()).expect("it is read");
+            assert_eq!(warnings.len(), 1, "{warnings:#?}");
+            assert_eq!(
+                (&*warnings[0].kind, &*warnings[0].prim),
+                ("unsupported-light", "/l")
+            );
+        }
     }
 }
 
@@ -397,7 +455,7 @@ fn packages_hold_layers_and_textures() {
                 tally.differences
             );
             assert_eq!((tally.prims, tally.unsupported), (2, 0), "{door:?} {root}");
-            let scene = crate::scene_of(&file(root), door, &Reading::default())
+            let scene = scene_of(&file(root), door, &Reading::default())
                 .expect("read")
                 .0;
             let Input::Texture(read) = &scene.materials[0].diffuse_color else {

@@ -3,6 +3,7 @@
 mod composition;
 mod faults;
 mod geometry;
+mod instances;
 mod look;
 mod skinning;
 

@@ -144,6 +144,24 @@ impl<'a> AuthoredMesh<'a> {
         })
     }
 
+    /// The cage as polygons, flat and bare, in the place of the surface that it refines into.
+    pub(super) fn cage_polygons(&self) -> Mesh {
+        let mut triangulation = self.triangulate();
+        if self.left_handed {
+            triangulation.flip();
+        }
+        self.finish(Parts {
+            positions: self.points.to_vec(),
+            triangles: triangulation.triangles,
+            triangle_faces: triangulation.faces,
+            normals: Normals::Flat,
+            primvars: Vec::new(),
+            point_normals: Vec::new(),
+            corner_normals: Vec::new(),
+            scheme: self.scheme,
+        })
+    }
+
     fn triangulate(&self) -> Triangulation {
         let mut triangulation = Triangulation::default();
         for face in self.topology.drawn() {

@@ -113,8 +113,9 @@ impl Layout<'_> {
     pub fn build(
         &self,
         look: &Look,
+        detail: Detail,
         diagnostics: &Diagnostics,
-    ) -> Result<(Vec<Mesh>, Vec<Prim>), Error> {
+    ) -> Result<Built, Error> {
         let mut names = kept_primvars(look);
         if self.settings.all_primvars {
             names.extend(authored_numbers(self.raw));
@@ -127,10 +128,10 @@ impl Layout<'_> {
         self.ask_for_depth(&geometries, &mut sources);
         let levels = refinement::levels(&self.demands(&geometries, &sources), diagnostics);
         diagnostics.check()?;
-        let made: Vec<Option<(Mesh, DVec3)>> = sources
+        let made: Vec<Option<Made>> = sources
             .into_par_iter()
             .zip(levels)
-            .map(|(source, level)| make(source, level, diagnostics))
+            .map(|(source, level)| make(source, level, detail, diagnostics))
             .collect();
         diagnostics.check()?;
         Ok(self.assemble(&geometries, made, look, diagnostics))
@@ -228,16 +229,18 @@ impl Layout<'_> {
     fn assemble(
         &self,
         geometries: &[Geometry],
-        made: Vec<Option<(Mesh, DVec3)>>,
+        made: Vec<Option<Made>>,
         look: &Look,
         diagnostics: &Diagnostics,
-    ) -> (Vec<Mesh>, Vec<Prim>) {
+    ) -> Built {
         let mut meshes = Vec::with_capacity(made.len());
+        let mut triangles = Vec::with_capacity(made.len());
         let mut of_placement: Vec<Option<(MeshId, Affine3A)>> = vec![None; self.placements.len()];
         for (geometry, made) in geometries.iter().zip(made) {
-            let Some((mut mesh, center)) = made else {
+            let Some(made) = made else {
                 continue;
             };
+            let (mut mesh, center) = (made.mesh, made.center);
             let id = MeshId(u32::try_from(meshes.len()).expect("fewer meshes than 2^32"));
             let origin_from_world = DMat4::from_translation(-self.origin);
             let matrix = |placement: usize| {
@@ -264,8 +267,13 @@ impl Layout<'_> {
                 continue;
             }
             meshes.push(mesh);
+            triangles.push(made.triangles);
         }
-        (meshes, self.prims(of_placement, look))
+        Built {
+            meshes,
+            prims: self.prims(of_placement, look),
+            triangles,
+        }
     }
 
     /// Transforms that are not finite draw nothing, nor do those that flatten a shared mesh: whoever traces it needs
@@ -315,7 +323,7 @@ fn warn_of_transform(placement: &Placement, flaw: &str, diagnostics: &Diagnostic
     };
     diagnostics.warn(
         "degenerate-transform",
-        path.clone(),
+        path.to_string(),
         format!("what is drawn with a transform that {flaw} is left out"),
     );
 }
@@ -387,23 +395,62 @@ fn read_all<'a>(
     all.into_iter().collect()
 }
 
-fn make(source: Source, level: usize, diagnostics: &Diagnostics) -> Option<(Mesh, DVec3)> {
+/// How far geometry is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Detail {
+    /// As it is drawn.
+    Full,
+    /// Subdivision surfaces are the polygons of their cages: some 20 times sooner.
+    Cages,
+}
+
+/// Geometry and its occurrences.
+#[derive(Debug)]
+pub struct Built {
+    /// Every distinct geometry.
+    pub meshes: Vec<Mesh>,
+    /// One for each time a mesh is drawn.
+    pub prims: Vec<Prim>,
+    /// Triangles of each mesh in [`Detail::Full`].
+    pub triangles: Vec<usize>,
+}
+
+/// A mesh, where its own origin lies, and how many triangles it has in [`Detail::Full`].
+struct Made {
+    mesh: Mesh,
+    center: DVec3,
+    triangles: usize,
+}
+
+fn make(source: Source, level: usize, detail: Detail, diagnostics: &Diagnostics) -> Option<Made> {
     if diagnostics.check().is_err() {
         return None;
     }
-    match source {
-        Source::Nothing => None,
-        Source::Gprim(gprim, facets) => Some((gprim.tessellate(facets), DVec3::ZERO)),
-        Source::Curves(curves, depth) => Some(curves.tessellate(depth)),
-        Source::Patch(patch, depth) => Some(patch.tessellate(depth)),
+    let (mesh, center) = match source {
+        Source::Nothing => return None,
+        Source::Gprim(gprim, facets) => (gprim.tessellate(facets), DVec3::ZERO),
+        Source::Curves(curves, depth) => curves.tessellate(depth),
+        Source::Patch(patch, depth) => patch.tessellate(depth),
         Source::Mesh(mesh) if mesh.scheme == Scheme::None => {
-            Some((mesh.as_polygons(diagnostics), mesh.center))
+            (mesh.as_polygons(diagnostics), mesh.center)
         }
-        Source::Mesh(mesh) => Some((
+        Source::Mesh(mesh) if detail == Detail::Cages => {
+            return Some(Made {
+                mesh: mesh.cage_polygons(),
+                center: mesh.center,
+                triangles: refinement::triangle_count(&mesh, level),
+            });
+        }
+        Source::Mesh(mesh) => (
             subdivision::subdivide(&mesh, level, diagnostics),
             mesh.center,
-        )),
-    }
+        ),
+    };
+    Some(Made {
+        triangles: mesh.triangles.len(),
+        mesh,
+        center,
+    })
 }
 
 #[cfg(test)]

@@ -16,6 +16,7 @@ use crate::diagnostics::Diagnostics;
 use crate::scene::{PrimSource, Purpose};
 use glam::DMat4;
 use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
 
 /// One thing to draw.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,7 +25,7 @@ pub(super) struct Placement {
     pub(super) occurrence: usize,
     /// Absolute.
     pub(super) world_from_object: DMat4,
-    pub(super) path: String,
+    pub(super) path: Arc<str>,
     pub(super) purpose: Purpose,
     pub(super) source: PrimSource,
 }
@@ -97,7 +98,7 @@ pub(super) fn placements(
                 placed.push(Placement {
                     occurrence: next,
                     world_from_object: occurrence.world_from_local,
-                    path: occurrence.path.clone(),
+                    path: occurrence.path.as_str().into(),
                     purpose: occurrence.purpose,
                     source: occurrence.source.clone(),
                 });
@@ -159,6 +160,8 @@ struct Part {
     suffix: String,
     /// Authored below the instancer.
     purpose: Option<Purpose>,
+    /// See [`PrimSource`].
+    shared_path: Arc<str>,
 }
 
 struct Walk<'a> {
@@ -210,6 +213,7 @@ impl<'a> Walk<'a> {
         let parts_of = self.prototype_parts(instancer);
         self.warn_of_velocities(instancer);
         let occurrence = &self.occurrences[instancer];
+        let path: Arc<str> = occurrence.path.as_str().into();
         for point in self.points(instancer, parts_of.len()) {
             let world_from_point = occurrence.world_from_local * point.matrix;
             for part in &parts_of[point.prototype] {
@@ -220,12 +224,12 @@ impl<'a> Walk<'a> {
                 placed.push(Placement {
                     occurrence: part.occurrence,
                     world_from_object: world_from_point * part.instancer_from_object,
-                    path: format!("{}[{}]/{}", occurrence.path, point.index, part.suffix),
+                    path: format!("{path}[{}]/{}", point.index, part.suffix).into(),
                     purpose,
                     source: PrimSource::PointInstance {
-                        instancer: occurrence.path.clone(),
+                        instancer: path.clone(),
                         index: u32::try_from(point.index).unwrap_or(u32::MAX),
-                        shared_path: self.shared_path(part.occurrence),
+                        shared_path: part.shared_path.clone(),
                     },
                 });
             }
@@ -252,11 +256,11 @@ impl<'a> Walk<'a> {
         }
     }
 
-    fn shared_path(&self, occurrence: usize) -> String {
+    fn shared_path(&self, occurrence: usize) -> Arc<str> {
         let occurrence = &self.occurrences[occurrence];
         match &occurrence.source {
             PrimSource::NativeInstance { shared_path, .. } => shared_path.clone(),
-            _ => occurrence.path.clone(),
+            _ => occurrence.path.as_str().into(),
         }
     }
 
@@ -355,6 +359,7 @@ impl<'a> Walk<'a> {
                         instancer_from_object: state.0,
                         suffix: self.occurrences[index].path[parent_path..].to_owned(),
                         purpose: state.2,
+                        shared_path: self.shared_path(index),
                     });
                 }
                 Kind::Instancer => {
@@ -383,6 +388,7 @@ impl<'a> Walk<'a> {
                 instancer_from_object: matrix * point.matrix * part.instancer_from_object,
                 suffix: format!("{suffix}[{}]/{}", point.index, part.suffix),
                 purpose: part.purpose.or(purpose),
+                shared_path: part.shared_path.clone(),
             }));
         }
     }

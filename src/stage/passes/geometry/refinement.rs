@@ -92,6 +92,18 @@ pub(super) fn levels(demands: &[Demand], diagnostics: &Diagnostics) -> Vec<usize
     plans.iter().map(|plan| level(plan, coarser)).collect()
 }
 
+/// Triangles of `mesh` after `level` levels. Faces refine into as many quads as they have corners (triangles of Loop into
+/// four), and these into four each.
+pub(super) fn triangle_count(mesh: &AuthoredMesh, level: usize) -> usize {
+    let corners = |face: usize| mesh.topology.points_of(face).len();
+    let drawn = mesh.topology.drawn();
+    match (mesh.scheme, level) {
+        (Scheme::Loop, _) => drawn.count() << (2 * level),
+        (_, 0) => drawn.map(|face| corners(face) - 2).sum(),
+        _ => drawn.map(corners).sum::<usize>() << (2 * level - 1),
+    }
+}
+
 struct Plan {
     wanted: usize,
     least: usize,

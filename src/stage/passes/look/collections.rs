@@ -13,9 +13,12 @@ enum Rule {
     Expand,
 }
 
+/// Collections of lights that UsdLux gives an `includeRoot` that is true unless authored.
+const HOLDING_ALL: [&str; 2] = ["lightLink", "shadowLink"];
+
 /// Rules of one collection by stage path.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Membership(HashMap<String, Rule>);
+pub(in super::super) struct Membership(HashMap<String, Rule>);
 
 impl Membership {
     /// True if the prim at stage path `path` belongs to the collection: the nearest rule at or above it decides.
@@ -91,7 +94,8 @@ impl Reader<'_> {
         }
         self.chain.pop();
         let root = prim.flag(&format!("collection:{name}:includeRoot"));
-        if root == Some(true) && rule == Rule::Expand {
+        let root = root.unwrap_or(HOLDING_ALL.contains(&name));
+        if root && rule == Rule::Expand {
             rules.insert("/".to_owned(), Rule::Expand);
         }
         if rules.is_empty() {

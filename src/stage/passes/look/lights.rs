@@ -1,14 +1,15 @@
 //! UsdLux prims → [`Light`]s, with the schemas' fallbacks and their older names without `inputs:`.
 //!
-//! What point-based light cannot honour (IES profiles, filters, light linking, portals, geometry lights) is left out
+//! What point-based light cannot honour (IES profiles, filters, links of domes and meshes, portals, geometry lights) is left out
 //! with a warning that says what follows.
 
 use super::blackbody;
+use super::links::{Links, is_limited};
 use super::mesh_lights::{MaterialSync, MeshLight};
 use super::paths::Paths;
 use super::values::{Values, color, narrow, number};
 use crate::diagnostics::Diagnostics;
-use crate::scene::{Light, LightKind, Shaping, UpAxis};
+use crate::scene::{Light, LightKind, Linked, Shaping, UpAxis};
 use crate::stage::passes::flatten::Occurrence;
 use crate::stage::raw::{RawPrim, Value};
 use glam::{Affine3A, DAffine3, DMat4, DVec3, Vec3};
@@ -24,7 +25,7 @@ pub(super) fn read(
     origin: DVec3,
     up_axis: UpAxis,
     diagnostics: &Diagnostics,
-) -> Vec<Light> {
+) -> Vec<(Light, Links)> {
     readers(paths, is_shown, up_axis, diagnostics)
         .filter_map(|(index, reader)| {
             let kind = reader.kind()?;
@@ -33,7 +34,14 @@ pub(super) fn read(
                     .warn("it is below a PointInstancer: lights are not instanced, it is left out");
                 return None;
             }
-            reader.light(kind, paths.occurrences()[index].world_from_local, origin)
+            let is_dome = matches!(kind, LightKind::Dome { .. });
+            let world_from_local = paths.occurrences()[index].world_from_local;
+            let light = reader.light(kind, world_from_local, origin)?;
+            let links = Links::read(paths, index, diagnostics);
+            if is_dome {
+                reader.warn_of_links(paths, index);
+            }
+            Some((light, links))
         })
         .collect()
 }
@@ -76,7 +84,9 @@ pub(super) fn read_meshes(
                 );
                 return None;
             }
-            reader.mesh_light()
+            let light = reader.mesh_light()?;
+            reader.warn_of_links(paths, index);
+            Some(light)
         })
         .collect()
 }
@@ -248,6 +258,8 @@ impl Reader<'_> {
             world_from_light: self.placed(&kind, world_from_local, origin),
             shaping: self.shaping(),
             casts_shadows: self.flag("shadow:enable").unwrap_or(true),
+            lit: Linked::All,
+            blockers: Linked::All,
             kind,
         };
         if !is_finite(&light) {
@@ -322,20 +334,25 @@ impl Reader<'_> {
         )
     }
 
+    /// For the kinds of light that links are not applied to.
+    fn warn_of_links(&self, paths: &Paths<'_>, index: usize) {
+        for (collection, what) in [
+            ("lightLink", "everything is lit by it"),
+            ("shadowLink", "everything blocks it"),
+        ] {
+            if is_limited(paths, index, collection) {
+                self.warn(&format!(
+                    "its {collection} collection is not applied: {what}"
+                ));
+            }
+        }
+    }
+
     fn warn_of_the_rest(&self) {
         let targets = |name: &str| {
             let relationship = self.prim.relationships.get(name);
             relationship.is_some_and(|relationship| !relationship.targets.is_empty())
         };
-        for (collection, what) in [("lightLink", "lit"), ("shadowLink", "shadowed")] {
-            let name = |part: &str| format!("collection:{collection}:{part}");
-            let has_targets = targets(&name("includes")) || targets(&name("excludes"));
-            if has_targets || self.prim.flag(&name("includeRoot")) == Some(false) {
-                self.warn(&format!(
-                    "its {collection} collection is not applied: everything is {what} by it"
-                ));
-            }
-        }
         if targets("light:filters") || targets("filters") {
             self.warn("its light filters are not applied: it is brighter than meant");
         }
@@ -391,6 +408,7 @@ mod tests {
             .into_iter()
             .map(|w| w.message)
             .collect();
+        let lights = lights.into_iter().map(|(light, _)| light).collect();
         (lights, messages)
     }
 
@@ -535,7 +553,7 @@ mod tests {
             .prim("/F", "LightFilter")
             .prim("/I", "PointInstancer")
             .prim("/I/L", "SphereLight")
-            .prim("/L", "RectLight")
+            .prim("/L", "DomeLight")
             .rel("collection:lightLink:excludes", &["/M"])
             .rel("light:filters", &["/F"])
             .prim("/C", "Cube")

@@ -64,7 +64,7 @@ pub(in super::super) fn shine(scene: &mut Scene, lights: &[MeshLight], diagnosti
         .collect();
     let mut made = Made::default();
     for index in 0..scene.prims.len() {
-        let Some(light) = by_path.get(scene.prims[index].path.as_str()) else {
+        let Some(light) = by_path.get(&*scene.prims[index].path) else {
             continue;
         };
         let radiance = match light.normalize {

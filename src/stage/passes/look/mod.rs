@@ -7,6 +7,7 @@ mod collections;
 #[cfg(test)]
 mod fixture;
 mod lights;
+pub(super) mod links;
 mod materials;
 pub(super) mod mesh_lights;
 mod network;
@@ -34,8 +35,10 @@ pub struct Look {
     /// For each occurrence, the material that applies to it (meaningful for gprims and GeomSubset prims: the strongest of
     /// direct, inherited and collection bindings, purposes `full` then all-purpose).
     pub binding: Vec<Option<MaterialId>>,
-    /// Visible lights.
+    /// Visible lights, not yet linked to prims.
     pub lights: Vec<Light>,
+    /// What links each of them.
+    pub links: Vec<links::Links>,
     /// Visible meshes that are lights.
     pub mesh_lights: Vec<mesh_lights::MeshLight>,
     /// Cameras.
@@ -75,7 +78,8 @@ pub fn resolve(
             occurrence.visible
                 && (purpose == Purpose::Default || settings.purposes.contains(&purpose))
         };
-        look.lights = lights::read(&paths, is_shown, origin, up_axis(raw), diagnostics);
+        let lights = lights::read(&paths, is_shown, origin, up_axis(raw), diagnostics);
+        (look.lights, look.links) = lights.into_iter().unzip();
         look.mesh_lights = lights::read_meshes(&paths, is_shown, diagnostics);
     }
     look.render_settings = render_settings;

@@ -43,7 +43,7 @@ fn instancer_stage() -> Vec<RawPrim> {
 #[test]
 fn point_instances_stand_where_usd_core_puts_them() {
     let built = build_all(instancer_stage());
-    let paths: Vec<_> = built.prims.iter().map(|p| p.path.as_str()).collect();
+    let paths: Vec<_> = built.prims.iter().map(|p| &*p.path).collect();
     assert_eq!(paths, ["/W/PI[0]/A/t", "/W/PI[1]/B", "/W/PI[2]/A/t"]);
     let rows = [
         [
@@ -105,7 +105,7 @@ fn invisible_ids_hide_points_by_id_or_index() {
     );
     let built = build_all(prims);
     assert_eq!(built.prims.len(), 1);
-    assert_eq!(built.prims[0].path, "/W/PI[1]/B");
+    assert_eq!(&*built.prims[0].path, "/W/PI[1]/B");
 }
 
 #[test]
@@ -146,7 +146,7 @@ fn nested_instancers_multiply_and_one_in_itself_ends() {
     let placed: Vec<_> = built
         .prims
         .iter()
-        .map(|p| (p.path.as_str(), p.world_from_object.translation.x))
+        .map(|p| (&*p.path, p.world_from_object.translation.x))
         .collect();
     let expected = [
         ("/o[0]/i[0]/t", 2.0),
@@ -185,7 +185,7 @@ fn instancers_inside_native_instances_find_the_prototypes_of_their_instance() {
     prims.push(instancer);
     prims.push(under(triangle("/__Prototype_1/pi/t"), 3));
     let built = build(prims, 2);
-    let paths: Vec<_> = built.prims.iter().map(|p| p.path.as_str()).collect();
+    let paths: Vec<_> = built.prims.iter().map(|p| &*p.path).collect();
     assert_eq!(paths, ["/A/pi[0]/t", "/B/pi[0]/t"]);
     assert_eq!(built.prims[1].world_from_object.translation.x, 5.0);
 }

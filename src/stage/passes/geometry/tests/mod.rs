@@ -76,18 +76,24 @@ struct Built {
 }
 
 fn try_build(raw: &RawStage, look: &Look) -> Result<Built, Error> {
+    build_in(raw, look, Detail::Full).map(|(built, _)| built)
+}
+
+/// What is made, and the triangles told of it.
+fn build_in(raw: &RawStage, look: &Look, detail: Detail) -> Result<(Built, Vec<usize>), Error> {
     let settings = ReadSettings::default();
     let diagnostics = Diagnostics::default();
     let occurrences = flatten(raw, &settings, &diagnostics);
     let layout = lay_out(raw, &occurrences, &settings, &diagnostics)?;
-    let (meshes, prims) = layout.build(look, &diagnostics)?;
+    let made = layout.build(look, detail, &diagnostics)?;
     let warnings = diagnostics.warnings().into_iter().map(|w| w.kind).collect();
-    Ok(Built {
-        meshes,
-        prims,
+    let built = Built {
+        meshes: made.meshes,
+        prims: made.prims,
         origin: layout.origin(),
         warnings,
-    })
+    };
+    Ok((built, made.triangles))
 }
 
 fn build(prims: Vec<RawPrim>, prototype_start: usize) -> Built {
@@ -102,6 +108,59 @@ fn build(prims: Vec<RawPrim>, prototype_start: usize) -> Built {
 fn build_all(prims: Vec<RawPrim>) -> Built {
     let count = prims.len();
     build(prims, count)
+}
+
+#[test]
+fn cages_tell_how_many_triangles_their_surfaces_have() {
+    let corners = [
+        Vec3::ZERO,
+        Vec3::X,
+        Vec3::new(1.0, 1.0, 0.3),
+        Vec3::Y,
+        Vec3::new(0.5, 0.5, 1.0),
+    ];
+    let pyramid = |path: &str, counts: &[i32], indices: &[i32], scheme: &str| {
+        with_token(
+            mesh(path, &corners, counts, indices),
+            "subdivisionScheme",
+            scheme,
+        )
+    };
+    let sides = [0, 1, 4, 1, 2, 4, 2, 3, 4, 3, 0, 4];
+    let closed = [&sides[..], &[0, 3, 2, 1]].concat();
+    let holed = pyramid("/holed", &[3, 3, 3, 3, 4], &closed, "catmullClark");
+    let raw = RawStage {
+        prims: vec![
+            pyramid("/mixed", &[3, 3, 3, 3, 4], &closed, "catmullClark"),
+            with_ints(holed, "holeIndices", &[4]),
+            pyramid("/loop", &[3; 4], &sides, "loop"),
+            pyramid("/bilinear", &[4], &[0, 3, 2, 1], "bilinear"),
+            pyramid("/polygons", &[3, 3, 3, 3, 4], &closed, "none"),
+        ],
+        prototype_start: 5,
+        ..RawStage::default()
+    };
+    let look = Look::default();
+    let (full, of_full) = build_in(&raw, &look, Detail::Full).unwrap();
+    let (cages, of_cages) = build_in(&raw, &look, Detail::Cages).unwrap();
+    let counts = |built: &Built| -> Vec<usize> {
+        built
+            .meshes
+            .iter()
+            .map(|mesh| mesh.triangles.len())
+            .collect()
+    };
+    assert_eq!(of_full, counts(&full));
+    assert_eq!(of_cages, counts(&full));
+    assert_eq!(counts(&cages), [6, 4, 4, 2, 6]);
+    let schemes = |built: &Built| -> Vec<String> {
+        built
+            .meshes
+            .iter()
+            .map(|mesh| mesh.scheme.clone())
+            .collect()
+    };
+    assert_eq!(schemes(&cages), schemes(&full));
 }
 
 #[test]
@@ -130,7 +189,7 @@ fn a_mesh_drawn_once_is_in_world_space_and_twice_is_shared() {
     ];
     let built = build(prims.concat(), 3);
     assert_eq!(built.meshes.len(), 2);
-    let paths: Vec<_> = built.prims.iter().map(|p| p.path.as_str()).collect();
+    let paths: Vec<_> = built.prims.iter().map(|p| &*p.path).collect();
     assert_eq!(paths, ["/i0/t", "/i1/t", "/single"]);
     assert_eq!(built.prims[0].mesh, built.prims[1].mesh);
     assert_eq!(built.prims[1].world_from_object.translation.x, 1.0);
@@ -153,7 +212,7 @@ fn invisible_prims_guides_and_proxies_are_not_drawn() {
         triangle("/plain"),
     ];
     let built = build_all(prims);
-    let paths: Vec<_> = built.prims.iter().map(|p| p.path.as_str()).collect();
+    let paths: Vec<_> = built.prims.iter().map(|p| &*p.path).collect();
     assert_eq!(paths, ["/render", "/plain"]);
     assert_eq!(built.prims[0].purpose, Purpose::Render);
 }
