@@ -2,24 +2,17 @@
 //! covers, in linear light. All levels have the same mean.
 
 use super::decode::Samples;
+use crate::math::srgb;
 use half::f16;
 use std::sync::LazyLock;
 
 /// Linear value of every 8-bit sRGB code (IEC 61966-2-1).
 static FROM_SRGB: LazyLock<[f32; 256]> =
-    LazyLock::new(|| std::array::from_fn(|code| srgb_to_linear(code as f32 / 255.0)));
+    LazyLock::new(|| std::array::from_fn(|code| srgb::to_linear(code as f32 / 255.0)));
 
 /// Linear value of every 8-bit code that is linear already.
 static FROM_LINEAR: LazyLock<[f32; 256]> =
     LazyLock::new(|| std::array::from_fn(|code| code as f32 / 255.0));
-
-/// sRGB-encoded to linear (IEC 61966-2-1), continued beyond 1; negative values stay as they are.
-pub(super) fn srgb_to_linear(encoded: f32) -> f32 {
-    match encoded {
-        x if x <= 0.040_45 => x / 12.92,
-        x => ((x + 0.055) / 1.055).powf(2.4),
-    }
-}
 
 /// Texels of one level, interleaved, rows from the top.
 #[derive(Debug, Clone, PartialEq)]
@@ -211,7 +204,7 @@ pub(super) fn build(decoded: super::decode::Decoded, srgb: bool) -> (Vec<Level>,
             return 0.0;
         }
         if srgb && is_color(index) {
-            srgb_to_linear(value)
+            srgb::to_linear(value)
         } else {
             value
         }

@@ -7,6 +7,7 @@ pub mod packing;
 pub mod sequence;
 pub mod sh;
 pub mod solid_angle;
+pub mod srgb;
 
 pub use bounds::Bounds3;
 pub use frame::Frame;

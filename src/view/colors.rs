@@ -1,6 +1,7 @@
 //! Values → 8-bit colors.
 
 use super::channels::{Channel, ChannelKind};
+use crate::math::srgb;
 use glam::Vec3;
 
 /// Color of nothing.
@@ -49,8 +50,8 @@ impl Look {
             return MISSING;
         }
         match self.kind {
-            ChannelKind::Color => (value * self.gain).to_array().map(srgb),
-            ChannelKind::Direction => (0.5 * value + 0.5).to_array().map(byte),
+            ChannelKind::Color => (value * self.gain).to_array().map(srgb::code),
+            ChannelKind::Direction => (0.5 * value + 0.5).to_array().map(srgb::byte),
             ChannelKind::Id => hue(value.x),
             ChannelKind::Scalar => {
                 let (low, high) = self.range;
@@ -74,7 +75,7 @@ pub(super) fn false_color(at: f32) -> [u8; 3] {
     let part = place - index as f32;
     let mix = |k: usize| {
         let [a, b] = [index, index + 1].map(|i| f32::from(SCALE[i][k]));
-        byte((a + (b - a) * part) / 255.0)
+        srgb::byte((a + (b - a) * part) / 255.0)
     };
     [mix(0), mix(1), mix(2)]
 }
@@ -84,31 +85,7 @@ fn hue(id: f32) -> [u8; 3] {
     if id < 0.0 {
         return MISSING;
     }
-    let hue = (id * 0.618_034).fract() * 6.0;
-    let channel = |offset: f32| {
-        let k = (offset + hue) % 6.0;
-        byte(0.95 - 0.6 * k.min(4.0 - k).clamp(0.0, 1.0))
-    };
-    [channel(5.0), channel(3.0), channel(1.0)]
-}
-
-/// IEC 61966-2-1, clipped.
-fn srgb(linear: f32) -> u8 {
-    let linear = linear.clamp(0.0, 1.0);
-    byte(if linear <= 0.003_130_8 {
-        12.92 * linear
-    } else {
-        1.055 * linear.powf(1.0 / 2.4) - 0.055
-    })
-}
-
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "clamped to 0…255; NaN becomes 0"
-)]
-fn byte(value: f32) -> u8 {
-    (value.clamp(0.0, 1.0) * 255.0).round() as u8
+    srgb::of_id(id)
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use super::table::Table;
 use crate::diagnostics::Diagnostics;
 use crate::exchange::srgb::Srgb;
 use crate::exchange::{Error, malformed, read_file};
+use crate::math::srgb;
 use crate::scene::UpAxis;
 use crate::surfels::points::{Column, ColumnValues, PointSet, VectorKind};
 use glam::{DVec3, Vec3};
@@ -181,14 +182,7 @@ impl Taken<'_> {
         let whole = if is_code { 65_535.0 } else { 1.0 };
         let mut colors = self.table.vectors(columns);
         colors.par_iter_mut().for_each(|color| {
-            *color = color.map(|x| {
-                let x = x / whole;
-                if x <= 0.040_45 {
-                    x / 12.92
-                } else {
-                    ((x + 0.055) / 1.055).powf(2.4)
-                }
-            });
+            *color = color.map(|x| srgb::to_linear(x / whole));
         });
         Some(colors)
     }

@@ -7,6 +7,7 @@
 //! coefficient is shown, white where all is open.
 
 use super::{Error, write_whole};
+use crate::math::srgb;
 use crate::results::resolve::FAR_DEPTH;
 use crate::results::{Aov, AovImage, ValueType};
 use ::image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
@@ -57,13 +58,18 @@ pub fn png_of_rgb(width: u32, height: u32, rgb: &[u8]) -> Vec<u8> {
 fn pixels(image: &AovImage) -> Vec<u8> {
     match (image.aov, image.aov.value_type()) {
         (Aov::Depth, _) => depth(&image.data),
-        (_, ValueType::Float) => image.data.iter().map(|value| srgb(*value)).collect(),
+        (_, ValueType::Float) => image.data.iter().map(|value| srgb::code(*value)).collect(),
         (_, ValueType::Color | ValueType::ColorAlpha) => colors(image),
-        (_, ValueType::Normal) => image.data.iter().map(|x| byte(0.5 * x + 0.5)).collect(),
+        (_, ValueType::Normal) => image
+            .data
+            .iter()
+            .map(|x| srgb::byte(0.5 * x + 0.5))
+            .collect(),
         (_, ValueType::Point) => positions(&image.data),
         (_, ValueType::Harmonics) => {
             let open = image.data.iter().step_by(image.aov.components());
-            open.map(|value| srgb(value / OPEN_HARMONIC)).collect()
+            open.map(|value| srgb::code(value / OPEN_HARMONIC))
+                .collect()
         }
         (_, ValueType::Id) => image.data.iter().flat_map(|id| id_color(*id)).collect(),
     }
@@ -73,7 +79,7 @@ fn pixels(image: &AovImage) -> Vec<u8> {
 fn colors(image: &AovImage) -> Vec<u8> {
     let components = image.aov.components();
     let exposure = exposure(&image.data, components);
-    let encode = |pixel: &[f32]| [0, 1, 2].map(|channel| srgb(pixel[channel] * exposure));
+    let encode = |pixel: &[f32]| [0, 1, 2].map(|channel| srgb::code(pixel[channel] * exposure));
     image
         .data
         .chunks_exact(components)
@@ -103,25 +109,6 @@ fn exposure(data: &[f32], components: usize) -> f32 {
     (1.0 / *white).min(MOST_EXPOSURE)
 }
 
-/// IEC 61966-2-1, clipped.
-fn srgb(linear: f32) -> u8 {
-    let linear = linear.clamp(0.0, 1.0);
-    byte(if linear <= 0.003_130_8 {
-        12.92 * linear
-    } else {
-        1.055 * linear.powf(1.0 / 2.4) - 0.055
-    })
-}
-
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "clamped to 0…255; NaN becomes 0"
-)]
-fn byte(value: f32) -> u8 {
-    (value.clamp(0.0, 1.0) * 255.0).round() as u8
-}
-
 /// Lowest and highest of some values; 0 and 1 for none.
 fn range(values: impl Iterator<Item = f32>) -> (f32, f32) {
     let (low, high) = values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| {
@@ -146,7 +133,7 @@ fn depth(data: &[f32]) -> Vec<u8> {
     data.iter()
         .map(|d| {
             if *d < FAR_DEPTH {
-                byte(1.0 - 0.9 * within(seen, *d))
+                srgb::byte(1.0 - 0.9 * within(seen, *d))
             } else {
                 0
             }
@@ -159,7 +146,7 @@ fn positions(data: &[f32]) -> Vec<u8> {
     let ranges = [axis(0), axis(1), axis(2)];
     data.iter()
         .enumerate()
-        .map(|(i, x)| byte(within(ranges[i % 3], *x)))
+        .map(|(i, x)| srgb::byte(within(ranges[i % 3], *x)))
         .collect()
 }
 
@@ -168,12 +155,7 @@ fn id_color(id: f32) -> [u8; 3] {
     if id < 0.0 {
         return [0; 3];
     }
-    let hue = (id * 0.618_034).fract() * 6.0;
-    let channel = |offset: f32| {
-        let k = (offset + hue) % 6.0;
-        byte(0.95 - 0.6 * k.min(4.0 - k).clamp(0.0, 1.0))
-    };
-    [channel(5.0), channel(3.0), channel(1.0)]
+    srgb::of_id(id)
 }
 
 #[cfg(test)]
@@ -188,15 +170,6 @@ mod tests {
             height: 1,
             data: data.to_vec(),
         }
-    }
-
-    #[test]
-    fn srgb_has_the_values_of_the_standard() {
-        assert_eq!(
-            [0.0, 0.003_130_8, 0.18, 0.5, 1.0, 7.0, -1.0].map(srgb),
-            [0, 10, 118, 188, 255, 255, 0]
-        );
-        assert_eq!(srgb(f32::NAN), 0);
     }
 
     #[test]
