@@ -176,49 +176,42 @@ fn few_receivers_tell_as_much_as_all_of_them() {
     }
 }
 
-#[test]
-fn the_same_bits_come_from_one_thread_and_from_eight() {
+/// Reflected light at every `step`-th receiver on the walls, by 64 rays.
+fn with_walls(step: usize, check: impl FnOnce(Run<'_>)) {
     let scene = ball_in_a_box();
     let tracer = Tracer::new(&scene);
     let baked = spots(&scene, &tracer);
-    let receivers = receivers_in(&scene, PrimId(0), 2);
-    let engine = RaysEngine::new(&tracer, Some(source(&baked)), rays(64, 0.0));
-    let run = Run {
+    check(Run {
         scene: &scene,
         tracer: &tracer,
-        engine: &engine,
-        receivers: &receivers,
+        engine: &RaysEngine::new(&tracer, Some(source(&baked)), rays(64, 0.0)),
+        receivers: &receivers_in(&scene, PrimId(0), step),
         aovs: &[Aov::IrradianceIndirect],
-    };
-    let by = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        pool.expect("threads")
-            .install(|| run.interpolated(0.05, &|_| true))
-    };
-    let (one, eight) = (by(1), by(8));
-    assert_eq!(one.gathered, eight.gathered);
-    assert!(one == eight);
+    });
+}
+
+#[test]
+fn the_same_bits_come_from_one_thread_and_from_eight() {
+    with_walls(2, |run| {
+        let by = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+            let pool = pool.expect("threads");
+            pool.install(|| run.interpolated(0.05, &|_| true))
+        };
+        let (one, eight) = (by(1), by(8));
+        assert!(one == eight, "{} {}", one.gathered, eight.gathered);
+    });
 }
 
 #[test]
 fn what_is_refused_is_gathered_at_every_receiver() {
-    let scene = ball_in_a_box();
-    let tracer = Tracer::new(&scene);
-    let baked = spots(&scene, &tracer);
-    let receivers = receivers_in(&scene, PrimId(0), 3);
-    let engine = RaysEngine::new(&tracer, Some(source(&baked)), rays(64, 0.0));
-    let run = Run {
-        scene: &scene,
-        tracer: &tracer,
-        engine: &engine,
-        receivers: &receivers,
-        aovs: &[Aov::IrradianceIndirect],
-    };
-    let found = run.interpolated(0.3, &|_| false);
-    assert!(found.is_refused && found.gathered >= receivers.len());
-    let whole = run.whole();
-    let [a, b] = [&found.results, &whole].map(|all| values(all, Aov::IrradianceIndirect));
-    assert!(a == b, "{}", relative_rmse(a, b));
+    with_walls(3, |run| {
+        let found = run.interpolated(0.3, &|_| false);
+        assert!(found.is_refused && found.gathered >= run.receivers.len());
+        let whole = run.whole();
+        let [a, b] = [&found.results, &whole].map(|all| values(all, Aov::IrradianceIndirect));
+        assert!(a == b, "{}", relative_rmse(a, b));
+    });
 }
 
 /// The same receivers, and once more with their normals reversed.
@@ -353,21 +346,13 @@ fn parts_add_up() {
 
 #[test]
 fn few_receivers_and_kinds_that_hang_on_the_eye_are_all_gathered_at() {
-    let scene = ball_in_a_box();
-    let tracer = Tracer::new(&scene);
-    let baked = spots(&scene, &tracer);
-    let engine = RaysEngine::new(&tracer, Some(source(&baked)), rays(16, 0.0));
     for (step, aov) in [(20, Aov::Visibility), (2, Aov::ErrorIrradianceIndirect)] {
-        let receivers = receivers_in(&scene, PrimId(0), step);
-        let run = Run {
-            scene: &scene,
-            tracer: &tracer,
-            engine: &engine,
-            receivers: &receivers,
-            aovs: &[aov],
-        };
-        let found = run.interpolated(0.05, &|_| false);
-        assert_eq!(found.gathered, receivers.len());
-        assert!(!found.is_refused && found.results == run.whole());
+        with_walls(step, |run| {
+            let aovs = &[aov];
+            let run = Run { aovs, ..run };
+            let found = run.interpolated(0.05, &|_| false);
+            assert_eq!(found.gathered, run.receivers.len());
+            assert!(!found.is_refused && found.results == run.whole());
+        });
     }
 }
