@@ -135,9 +135,7 @@ impl Work<'_> {
         let errors: Vec<(u32, f64)> = (picks.iter().zip(truth.values.chunks_exact(n)))
             .map(error)
             .collect();
-        let limit = (std::env::var("UNTRUE").map_or(UNTRUE, |x| x.parse().expect("n"))
-            * self.settings.tolerance)
-            .powi(2);
+        let limit = (UNTRUE * self.settings.tolerance).powi(2);
         let is_untrue = |errors: &[(u32, f64)]| {
             let square: f64 = errors.iter().map(|(_, square)| square).sum();
             square / errors.len().max(1) as f64 > limit
