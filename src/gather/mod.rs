@@ -5,6 +5,7 @@
 mod at_hits;
 mod environment;
 pub mod estimate;
+mod known;
 mod neighbors;
 pub mod quantities;
 pub mod radiance;
@@ -15,6 +16,7 @@ pub(crate) mod testing;
 
 pub use at_hits::HitLight;
 pub use estimate::{ErrorEstimate, Reference, estimate};
+pub use known::KnownEngine;
 pub use radiance::{LoadedCloud, RadianceSource};
 pub use raster::{RasterEngine, RasterSettings};
 pub use rays::{RaysEngine, RaysFactory, RaysSettings};
@@ -325,6 +327,17 @@ fn split(results: &mut Results, count: usize, block_size: usize) -> Vec<Block<'_
         }
     }
     blocks
+}
+
+/// True if `aov`, under `lighting`, hangs on which directions are open and not only on the light that surfaces reflect.
+pub fn asks_open(aov: Aov, lighting: Option<&Lighting>) -> bool {
+    let environment = lighting.filter(|lighting| lighting.has_environment());
+    let is_even = environment.is_some_and(|light| light.uniform_environment().is_some());
+    let is_unlit = environment.is_none() && aov == Aov::IlluminationDirection;
+    aov.is_openness()
+        || aov.error_of().is_some()
+        || is_unlit
+        || (is_even && aov.needs_environment())
 }
 
 /// What has to be computed at every receiver for the AOVs asked for, and nothing else.

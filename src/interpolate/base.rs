@@ -1,20 +1,15 @@
 //! What is interpolated: AOVs from which all others follow.
 
 use crate::gather::quantities::{self, BLACK_SURFACE, Seen, irradiance, turn};
-use crate::gather::{GatherScene, Hemisphere};
+use crate::gather::{self, GatherScene, Hemisphere};
 use crate::receivers::Receivers;
 use crate::results::Aov;
 use glam::Vec3;
 
 /// AOVs from which all of `aovs` follow, as far as they hang on the hemisphere.
 pub(super) fn of(scene: GatherScene<'_>, aovs: &[Aov]) -> Vec<Aov> {
-    let environment = scene
-        .lighting
-        .and_then(|lighting| lighting.uniform_environment());
-    let asks_open =
-        |aov: &Aov| aov.is_openness() || (environment.is_some() && aov.needs_environment());
     let mut base = Vec::new();
-    if aovs.iter().any(asks_open) {
+    if (aovs.iter()).any(|&aov| gather::asks_open(aov, scene.lighting)) {
         base.push(Aov::Visibility);
     }
     base.extend(

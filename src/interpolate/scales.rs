@@ -1,7 +1,7 @@
 //! What an error of 1 in a base AOV is an error of, in what was asked for.
 
 use super::seeds::Seeds;
-use super::{Gathering, Work, known};
+use super::{Gathering, Work};
 use crate::diagnostics::Cancelled;
 use crate::gather::estimate::spread;
 use crate::results::{Aov, AovBuffer, Results};
@@ -46,7 +46,7 @@ impl Work<'_> {
             .flat_map(|&seed| &seeds.values[seed * n..][..n])
             .copied()
             .collect();
-        let whole = known::assemble(&few, &values)?;
+        let whole = few.assemble(&values)?;
         let mut start = 0;
         let mut share = |&aov: &Aov| {
             let range = start..start + aov.components();
@@ -58,7 +58,7 @@ impl Work<'_> {
             for values in without.chunks_exact_mut(n) {
                 values[range.clone()].fill(0.0);
             }
-            let without = known::assemble(&few, &without)?;
+            let without = few.assemble(&without)?;
             Ok(largest_part(&whole, &without))
         };
         self.base.iter().map(&mut share).collect()

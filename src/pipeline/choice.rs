@@ -5,13 +5,12 @@ use super::gather::Light;
 use super::interpolated::InterpolatedMethod;
 use super::job::{EngineChoice, GatherJob};
 use super::maps::{MapsKnobs, MapsMethod, Promise};
-use super::raster;
 use super::report::{Report, timed};
 use super::stand::Stand;
 use super::world::World;
 use crate::diagnostics::Diagnostics;
 use crate::gather::maps::{self, MapsSettings};
-use crate::gather::{GatherScene, RaysSettings};
+use crate::gather::{self, GatherScene, RaysSettings};
 use crate::interpolate;
 use crate::lighting::{LightSamples, Lighting};
 use crate::pilot::{self, Candidate, Knobs, LightScenes, Maps, Method, Outcome, Pick, Pilot};
@@ -159,15 +158,6 @@ impl Found {
         (job.engine == EngineChoice::Auto).then_some(Promise { check, tolerance })
     }
 
-    /// What interpolation has to keep: the tolerance, or what rays alone err by.
-    pub(super) fn promise_of_rays(&self, job: &GatherJob) -> Option<Promise> {
-        let outcome = self.outcome.as_ref()?;
-        Some(Promise {
-            check: outcome.check.clone()?,
-            tolerance: job.tolerance?.max(outcome.worst().unwrap_or(0.0)),
-        })
-    }
-
     /// Rays that do again what the raster engine did, at this frame and those to come, where the pilot promised too much: it
     /// looks at few groups of receivers.
     pub(super) fn rays_instead(
@@ -243,6 +233,14 @@ pub(super) fn choose(
     })
 }
 
+/// What interpolation has to keep where `outcome` led to it: the tolerance, or what rays alone err by.
+pub(super) fn promise_of_rays(outcome: &Outcome, tolerance: f64) -> Option<Promise> {
+    Some(Promise {
+        check: outcome.check.clone()?,
+        tolerance: tolerance.max(outcome.worst().unwrap_or(0.0)),
+    })
+}
+
 /// Rays of a run whose AOVs do not depend on them.
 const FEWEST_RAYS: u32 = 16;
 
@@ -260,7 +258,7 @@ fn rivals(stand: &Stand<'_>) -> Vec<Chosen> {
         return Vec::new();
     }
     let lighting = stand.scene().lighting;
-    let asks_open = (stand.aovs.iter()).any(|&aov| raster::asks_open(aov, lighting));
+    let asks_open = (stand.aovs.iter()).any(|&aov| gather::asks_open(aov, lighting));
     let is_baked = matches!(stand.light(), Light::Baked(_));
     let raster = (TRIED_RASTER_KNOBS.iter()).filter(|_| is_baked && !asks_open);
     (raster.map(|&knobs| Chosen::Raster(knobs)))

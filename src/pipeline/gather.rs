@@ -216,7 +216,9 @@ fn see_interpolated(
         stand.rays_with(settings.reference()),
     );
     let tolerance = stand.job.tolerance.unwrap_or(0.0);
-    let method = InterpolatedMethod::new(engine, tolerance, found.promise_of_rays(stand.job));
+    let outcome = found.outcome.as_ref();
+    let promise = outcome.and_then(|outcome| choice::promise_of_rays(outcome, tolerance));
+    let method = InterpolatedMethod::new(engine, tolerance, promise);
     let run = (&mut *report, diagnostics);
     let results = see(stand, scene, ("rays", &method, rays_judge(&reference)), run)?;
     method.record(report);

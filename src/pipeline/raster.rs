@@ -5,7 +5,6 @@ use super::report::Report;
 use super::stand::Stand;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::{self, GatherScene, RasterEngine, RasterSettings, RaysEngine};
-use crate::lighting::Lighting;
 use crate::pilot::Method;
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
@@ -26,17 +25,6 @@ pub(super) struct RasterMethod<'a> {
     /// None where there are no surfels.
     engine: Option<RasterEngine<'a>>,
     others: RaysEngine<'a>,
-}
-
-/// True if `aov` hangs on which directions are open, which the raster engine does not look at.
-pub(super) fn asks_open(aov: Aov, lighting: Option<&Lighting>) -> bool {
-    let environment = lighting.filter(|lighting| lighting.has_environment());
-    let is_even = environment.is_some_and(|light| light.uniform_environment().is_some());
-    let is_unlit = environment.is_none() && aov == Aov::IlluminationDirection;
-    aov.is_openness()
-        || aov.error_of().is_some()
-        || is_unlit
-        || (is_even && aov.needs_environment())
 }
 
 impl<'a> RasterMethod<'a> {
@@ -65,7 +53,7 @@ impl<'a> RasterMethod<'a> {
     /// Tell `report` who computes what.
     pub(super) fn record(&self, stand: &Stand<'_>, report: &mut Report) {
         let engine = |aov: Aov| {
-            let is_open = asks_open(aov, stand.scene().lighting);
+            let is_open = gather::asks_open(aov, stand.scene().lighting);
             let name = if self.engine.is_none() || is_open {
                 "rays"
             } else {
@@ -92,7 +80,7 @@ impl Method for RasterMethod<'_> {
         };
         let (by_rays, by_raster): (Vec<Aov>, Vec<Aov>) = aovs
             .iter()
-            .partition(|&&aov| asks_open(aov, scene.lighting));
+            .partition(|&&aov| gather::asks_open(aov, scene.lighting));
         let mut found = Results::default();
         if !by_raster.is_empty() {
             found = gather::gather(scene, engine, receivers, &by_raster, diagnostics)?;

@@ -39,6 +39,7 @@ mod probe;
 mod transport;
 mod windows;
 
+use super::known::{KnownEngine, two_directions};
 use super::{Engine, Hemisphere, HitLight};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::octree::{NodeKind, Octree};
@@ -49,7 +50,7 @@ use fearless_simd::{Level, dispatch};
 use glam::Vec3;
 use group::Group;
 use rayon::prelude::*;
-use std::f32::consts::{FRAC_1_PI, PI};
+use std::f32::consts::FRAC_1_PI;
 use std::ops::Range;
 use windows::{Sizes, Window, Windows};
 
@@ -322,7 +323,7 @@ impl Engine for RasterEngine<'_> {
         let irradiance = (self.irradiance(&alone, &Diagnostics::default()))
             .expect("nobody holds the token to cancel it with");
         for (i, irradiance) in block.zip(irradiance) {
-            one_direction(receivers.normal[i], irradiance, scratch);
+            two_directions(receivers.normal[i], (1.0, irradiance), scratch);
             visit(i, scratch);
         }
     }
@@ -336,52 +337,13 @@ impl Engine for RasterEngine<'_> {
         receivers: &Receivers,
         diagnostics: &Diagnostics,
     ) -> Result<Option<Box<dyn Engine + '_>>, Cancelled> {
-        Ok(Some(Box::new(Surveyed {
-            irradiance: self.irradiance(receivers, diagnostics)?,
+        Ok(Some(Box::new(KnownEngine {
+            occlusion: None,
+            indirect: Some(self.irradiance(receivers, diagnostics)?.into()),
             max_distance: self.knobs.max_distance,
+            name: NAME,
         })))
     }
 }
 
 const NAME: &str = "raster";
-
-/// What all receivers of a run see.
-#[derive(Debug)]
-struct Surveyed {
-    irradiance: Vec<Vec3>,
-    max_distance: f32,
-}
-
-impl Engine for Surveyed {
-    fn max_distance(&self) -> f32 {
-        self.max_distance
-    }
-
-    fn see(
-        &self,
-        receivers: &Receivers,
-        block: Range<usize>,
-        scratch: &mut Hemisphere,
-        visit: &mut dyn FnMut(usize, &Hemisphere),
-    ) {
-        for i in block {
-            one_direction(receivers.normal[i], self.irradiance[i], scratch);
-            visit(i, scratch);
-        }
-    }
-
-    fn name(&self) -> &'static str {
-        NAME
-    }
-}
-
-/// A hemisphere that tells no more than the irradiance of reflected light.
-fn one_direction(normal: Vec3, irradiance: Vec3, hemisphere: &mut Hemisphere) {
-    hemisphere.clear();
-    hemisphere.direction.push(normal);
-    hemisphere.weight.push(PI);
-    hemisphere.coverage.push(1.0);
-    hemisphere.distance.push(0.0);
-    hemisphere.reflected.push(irradiance * FRAC_1_PI);
-    hemisphere.emitted.push(Vec3::ZERO);
-}

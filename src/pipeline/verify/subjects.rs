@@ -248,11 +248,7 @@ pub(super) fn auto<'s>(
         Chosen::Rays(rays) => {
             let engine = stand.rays_with(stand.rays_settings(rays));
             let method: Box<dyn Method + 's> = if choice.interpolates {
-                let allowed = tolerance.max(outcome.worst().unwrap_or(0.0));
-                let promise = promise.map(|promise| Promise {
-                    tolerance: allowed,
-                    ..promise
-                });
+                let promise = choice::promise_of_rays(&outcome, tolerance);
                 Box::new(InterpolatedMethod::new(engine, tolerance, promise))
             } else {
                 Box::new(engine)
