@@ -5,34 +5,18 @@
 mod scenes;
 
 use glam::Vec3;
-use scenes::{SceneBuilder, Side, bowl, plate, receivers_in, room};
+use scenes::{SceneBuilder, Side, ball_in_a_box, bowl, plate, receivers_in};
 use std::f32::consts::PI;
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::diagnostics::Diagnostics;
 use surflux::gather::{GatherScene, RadianceSource, RaysEngine, RaysSettings, gather};
 use surflux::interpolate::{self, Gathering, InterpolateSettings, Interpolated};
 use surflux::lighting::{LightSamples, Lighting};
-use surflux::math::Bounds3;
 use surflux::receivers::Receivers;
 use surflux::results::{Aov, Results};
 use surflux::scene::{PrimId, Scene};
 use surflux::shading::Shader;
 use surflux::trace::Tracer;
-
-const BOX: Bounds3 = Bounds3 {
-    min: Vec3::splat(-1.0),
-    max: Vec3::splat(1.0),
-};
-
-/// A box, finely diced, with a ball on its floor; prims 0 and 1.
-fn ball_in_a_box() -> Scene {
-    let mut builder = SceneBuilder::new();
-    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
-    builder.mesh("walls", room(BOX, 48), gray);
-    let center = Vec3::new(0.2, -0.6, 0.1);
-    builder.mesh("ball", bowl(center, 0.4, PI, 24, Side::Outside), gray);
-    builder.build()
-}
 
 /// Surfels of `scene`, bright on top of the ball and in a spot of the floor with a sharp border, dim elsewhere.
 fn spots(scene: &Scene, tracer: &Tracer) -> Baked {
@@ -131,7 +115,7 @@ fn relative_rmse(found: &[f32], truth: &[f32]) -> f64 {
 /// every receiver by more than a fifth of the tolerance, by less than half of the receivers.
 #[test]
 fn few_receivers_tell_as_much_as_all_of_them() {
-    let scene = ball_in_a_box();
+    let scene = ball_in_a_box(48);
     let tracer = Tracer::new(&scene);
     let baked = spots(&scene, &tracer);
     let receivers = receivers_in(&scene, PrimId(0), 1);
@@ -178,7 +162,7 @@ fn few_receivers_tell_as_much_as_all_of_them() {
 
 /// Reflected light at every `step`-th receiver on the walls, by 64 rays.
 fn with_walls(step: usize, check: impl FnOnce(Run<'_>)) {
-    let scene = ball_in_a_box();
+    let scene = ball_in_a_box(48);
     let tracer = Tracer::new(&scene);
     let baked = spots(&scene, &tracer);
     check(Run {

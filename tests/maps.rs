@@ -6,6 +6,7 @@ mod dense;
 mod failures;
 #[path = "support/maps_image.rs"]
 mod image;
+#[allow(dead_code, reason = "shared with other tests, which use the rest")]
 #[path = "support/scenes.rs"]
 mod scenes;
 #[path = "support/sky.rs"]

@@ -5,7 +5,7 @@
 mod scenes;
 
 use glam::{DVec3, Vec3};
-use scenes::{SceneBuilder, Side, bowl, plate, polygon_irradiance, receivers_in, room};
+use scenes::{BOX, SceneBuilder, ball_in_a_box, plate, polygon_irradiance, receivers_in, room};
 use std::f32::consts::PI;
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::diagnostics::Diagnostics;
@@ -107,21 +107,6 @@ fn relative_rmse(values: &[f64], truth: &[f64]) -> f64 {
     (square / truth.len() as f64).sqrt() / mean
 }
 
-const BOX: Bounds3 = Bounds3 {
-    min: Vec3::splat(-1.0),
-    max: Vec3::splat(1.0),
-};
-
-/// A closed box with a ball on its floor; prim 0 and 1.
-fn ball_in_a_box() -> Scene {
-    let mut builder = SceneBuilder::new();
-    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
-    builder.mesh("walls", room(BOX, 24), gray);
-    let center = Vec3::new(0.2, -0.6, 0.1);
-    builder.mesh("ball", bowl(center, 0.4, PI, 24, Side::Outside), gray);
-    builder.build()
-}
-
 /// Bright on top of the ball and in a spot on the floor with a sharp border, dim elsewhere.
 fn spots(prim: u32, position: Vec3, normal: Vec3) -> f32 {
     let on_floor = position.y < -0.99 && position.distance(Vec3::new(-0.4, -1.0, 0.1)) < 0.5;
@@ -212,7 +197,7 @@ fn no_light_comes_through_walls_however_thin() {
 
 #[test]
 fn errors_fall_towards_rays_as_knobs_tighten() {
-    let scene = ball_in_a_box();
+    let scene = ball_in_a_box(24);
     let fixture = Fixture::new(&scene, 30_000, spots);
     let receivers = receivers_in(&scene, PrimId(0), 13);
     let truth = fixture.rays(&receivers, 65_536);
@@ -228,7 +213,7 @@ fn errors_fall_towards_rays_as_knobs_tighten() {
 
 #[test]
 fn what_touches_the_floor_lights_it_and_shades_it() {
-    let scene = ball_in_a_box();
+    let scene = ball_in_a_box(24);
     let fixture = Fixture::new(&scene, 60_000, |_, _, _| 1.0);
     let receivers = receivers_in(&scene, PrimId(1), 7);
     let truth = fixture.rays(&receivers, 8_192);
@@ -246,7 +231,7 @@ fn what_touches_the_floor_lights_it_and_shades_it() {
 
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
-    let scene = ball_in_a_box();
+    let scene = ball_in_a_box(24);
     let fixture = Fixture::new(&scene, 10_000, spots);
     let receivers = receivers_in(&scene, PrimId(0), 3);
     let with_threads = |count| {
@@ -263,7 +248,7 @@ fn rayon_pool(count: usize) -> rayon::ThreadPool {
 
 #[test]
 fn a_small_step_changes_little() {
-    let scene = ball_in_a_box();
+    let scene = ball_in_a_box(24);
     let fixture = Fixture::new(&scene, 20_000, spots);
     let here = receivers_in(&scene, PrimId(0), 5);
     let mut there = here.clone();
@@ -317,7 +302,7 @@ fn roughness(values: &[f64], receivers: &Receivers) -> f64 {
 
 #[test]
 fn no_borders_are_seen_between_receivers_that_share_their_work() {
-    let scene = ball_in_a_box();
+    let scene = ball_in_a_box(24);
     let fixture = Fixture::new(&scene, 30_000, spots);
     let receivers = tiles_on_the_floor(&scene);
     let together = fixture.raster(&receivers, 0.2, 12);
@@ -388,7 +373,7 @@ fn dark_surfels_that_receivers_touch_are_lit_anew() {
 
 #[test]
 fn far_from_the_origin_of_the_world_all_is_the_same() {
-    let mut scene = ball_in_a_box();
+    let mut scene = ball_in_a_box(24);
     let near = Fixture::new(&scene, 5_000, spots);
     let receivers = receivers_in(&scene, PrimId(0), 31);
     let expected = near.raster(&receivers, 0.05, 12);
@@ -400,7 +385,7 @@ fn far_from_the_origin_of_the_world_all_is_the_same() {
 
 #[test]
 fn what_is_too_far_does_not_light() {
-    let scene = ball_in_a_box();
+    let scene = ball_in_a_box(24);
     let fixture = Fixture::new(&scene, 5_000, |_, _, _| 1.0);
     let receivers = receivers_in(&scene, PrimId(0), 31);
     let settings = RasterSettings {

@@ -1,8 +1,7 @@
 //! The scripts of `examples/blender`, run in Blender.
 
 use super::ply::{READ_USD, cloud, numbers};
-use super::{convert, python_json, text};
-use crate::program::{ROOM, run, stderr};
+use super::{bake_room, convert, python_json, text};
 use std::path::Path;
 
 /// Makes `show` and `export_cloud` importable; arguments: files.
@@ -61,44 +60,20 @@ fn a_cloud_comes_back_from_blender_to_the_bit_and_is_gathered_from() {
         near(&after[name], &turned.collect::<Vec<f64>>().into(), 1e-6);
     }
     let bake = folder.path().join("b.usdc");
-    let result = run(&[
-        "bake",
-        ROOM,
-        "--usd",
-        "native",
-        "--rays",
-        "16",
-        "--aov",
-        "irradiance_indirect",
-        "--cloud",
-        text(&exported),
-        "-o",
-        text(&bake),
-        "-q",
-    ]);
-    assert!(result.status.success(), "{}", stderr(&result));
+    bake_room(
+        &bake,
+        &["--aov", "irradiance_indirect", "--cloud", text(&exported)],
+    );
 }
 
 #[test]
 fn a_bake_is_shown_with_the_values_that_usd_core_reads() {
     let folder = tempfile::tempdir().unwrap();
     let bake = folder.path().join("bake.usdc");
-    let result = run(&[
-        "bake",
-        ROOM,
-        "--usd",
-        "native",
-        "--rays",
-        "16",
-        "--surfels",
-        "2000",
-        "-q",
-        "--aov",
-        "irradiance,occlusion",
-        "-o",
-        text(&bake),
-    ]);
-    assert!(result.status.success(), "{}", stderr(&result));
+    bake_room(
+        &bake,
+        &["--surfels", "2000", "--aov", "irradiance,occlusion"],
+    );
     let stage = folder.path().join("bake_baked.usda");
     let script = BEGIN.to_owned()
         + "

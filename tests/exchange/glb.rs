@@ -1,8 +1,7 @@
 //! Baked USD → GLB, opened in Blender.
 
 use super::ply::numbers;
-use super::{convert, python_json, text};
-use crate::program::{ROOM, run, stderr};
+use super::{bake_room, convert, python_json};
 use serde_json::Value as Json;
 
 const STAGE: &str = r#"#usda 1.0
@@ -142,22 +141,7 @@ fn blender_reads_places_colors_coordinates_and_materials_back() {
 fn a_bake_goes_to_blender_with_its_vertex_colors() {
     let folder = tempfile::tempdir().unwrap();
     let bake = folder.path().join("bake.usdc");
-    let result = run(&[
-        "bake",
-        ROOM,
-        "--usd",
-        "native",
-        "--rays",
-        "16",
-        "--surfels",
-        "2000",
-        "-q",
-        "--aov",
-        "irradiance",
-        "-o",
-        text(&bake),
-    ]);
-    assert!(result.status.success(), "{}", stderr(&result));
+    bake_room(&bake, &["--surfels", "2000", "--aov", "irradiance"]);
     let glb = folder.path().join("bake.glb");
     let report = convert(
         &folder.path().join("bake_baked.usda"),

@@ -13,7 +13,7 @@ mod program;
 #[path = "../support/python.rs"]
 mod python;
 
-use program::{files, run, stderr};
+use program::{ROOM, files, run, stderr};
 use python::run_python;
 use serde_json::Value as Json;
 use std::path::Path;
@@ -27,6 +27,15 @@ fn convert(from: &Path, to: &Path, more: &[&str]) -> Json {
     let mut args = vec!["convert", text(from), text(to), "--json"];
     args.extend(more);
     program::json(&run(&args))
+}
+
+/// The example's room baked to `path` by few rays, and as `more` says.
+fn bake_room(path: &Path, more: &[&str]) {
+    let mut args = vec!["bake", ROOM, "--usd", "native", "--rays", "16", "-q"];
+    args.extend(["-o", text(path)]);
+    args.extend(more);
+    let result = run(&args);
+    assert!(result.status.success(), "{}", stderr(&result));
 }
 
 /// The script's last line as JSON.

@@ -228,6 +228,26 @@ pub(crate) fn bowl(center: Vec3, radius: f32, polar: f32, rings: u16, side: Side
     )
 }
 
+/// From −1 to 1.
+pub(crate) const BOX: Bounds3 = Bounds3 {
+    min: Vec3::splat(-1.0),
+    max: Vec3::splat(1.0),
+};
+
+/// A closed box, its walls of so many cells across, with a ball on its floor; prim 0 and 1.
+pub(crate) fn ball_in_a_box(cells: u16) -> Scene {
+    let mut builder = SceneBuilder::new();
+    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+    builder.mesh("walls", room(BOX, cells), gray);
+    let center = Vec3::new(0.2, -0.6, 0.1);
+    builder.mesh(
+        "ball",
+        bowl(center, 0.4, std::f32::consts::PI, 24, Side::Outside),
+        gray,
+    );
+    builder.build()
+}
+
 /// Which side of a round surface is its front.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Side {
