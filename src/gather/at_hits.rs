@@ -10,6 +10,7 @@
 
 use super::radiance::{Outgoing, surfel_of};
 use crate::lighting::{Lighting, ShadePoint};
+use crate::math::sequence;
 use crate::scene::PlacedMesh;
 use crate::shading::{Shader, Surface, SurfacePoint};
 use crate::surfels::DiceMap;
@@ -114,7 +115,7 @@ impl<'a> HitLight<'a> {
 }
 
 /// Another one for every hit, so that what few rays to the lights miss at one, they find at others.
-fn number(hit: &Hit) -> usize {
+fn number(hit: &Hit) -> u32 {
     let bits = hit.u.to_bits() ^ hit.v.to_bits().rotate_left(16) ^ hit.triangle;
-    (bits.wrapping_mul(0x9e37_79b9) >> 20) as usize
+    sequence::hash(bits)
 }

@@ -7,7 +7,7 @@ mod set;
 mod texels;
 
 pub use block::SkyLight;
-pub(super) use block::{MOST, glimpse, light};
+pub(super) use block::{MOST, light};
 pub use set::{EnvironmentCell, EnvironmentSet};
 
 use super::pictures;
@@ -103,6 +103,14 @@ impl Environment {
         let corrected =
             |(light, stand): (SkyLight, &Stand<'_>)| self.corrected(set, stand.point.normal, light);
         light.into_iter().zip(stands).map(corrected).collect()
+    }
+
+    /// Light by a few looks, within the cells of `set`, which `number` chooses: in the mean over all numbers the truth.
+    pub(super) fn glimpse(&self, set: &EnvironmentSet, stand: &Stand<'_>, number: u32) -> Vec3 {
+        self.uniform.map_or_else(
+            || block::glimpse(set, stand, number),
+            |radiance| PI * radiance * block::glimpse_even(stand, number),
+        )
     }
 
     /// Cells across the horizon are approximate, but the sum of an even sky's is known.

@@ -327,10 +327,14 @@ impl Lighting {
 
     /// Irradiance from all lights and domes by one ray a light and a few to the sky, which `number` chooses: in the mean
     /// over all numbers the truth. Emissive surfaces are left out.
-    pub fn glimpse(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
+    pub fn glimpse(&self, tracer: &Tracer, point: &ShadePoint, number: u32) -> Vec3 {
         let stand = Stand::new(tracer, point);
-        let sky = environment::glimpse(self.fine.sky.cells(), &stand, number);
-        self.glance_by(&self.fine, &stand, number) + sky
+        let sky = if self.has_environment() {
+            self.environment.glimpse(&self.fine.sky, &stand, number)
+        } else {
+            Vec3::ZERO
+        };
+        self.glance_by(&self.fine, &stand, number as usize) + sky
     }
 
     fn glance_by(&self, detail: &Detail, stand: &Stand<'_>, number: usize) -> Vec3 {

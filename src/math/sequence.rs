@@ -137,7 +137,7 @@ fn owen(bits: u32, seed: u32) -> u32 {
 }
 
 /// A well mixed number for `x` (the finalizer of `MurmurHash3`).
-fn hash(x: u32) -> u32 {
+pub fn hash(x: u32) -> u32 {
     let x = (x ^ (x >> 16)).wrapping_mul(0x85EB_CA6B);
     let x = (x ^ (x >> 13)).wrapping_mul(0xC2B2_AE35);
     x ^ (x >> 16)

@@ -4,9 +4,9 @@ use super::EnvironmentSet;
 use super::set::EnvironmentCell;
 use crate::lighting::stand::Stand;
 use crate::lighting::{ShadePoint, in_blocks};
-use crate::math::luminance;
+use crate::math::{Frame, luminance, sequence};
 use crate::trace::Tracer;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 /// Most receivers of a block: one bit each.
 pub(in crate::lighting) const MOST: usize = 64;
@@ -47,20 +47,41 @@ pub(in crate::lighting) fn light(cells: &[EnvironmentCell], stands: &[Stand<'_>]
     sums
 }
 
-/// Every n-th of `cells` at most, so that about so many are looked at.
-const GLIMPSED: usize = 8;
+/// Cells looked at in a glimpse, those of much light more often than others.
+const GLIMPSED: u32 = 8;
 
-/// Irradiance of `cells` at `stand` by a few of them, which `number` chooses: in the mean over all numbers that of
-/// [`light`].
-pub(in crate::lighting) fn glimpse(
-    cells: &[EnvironmentCell],
-    stand: &Stand<'_>,
-    number: usize,
-) -> Vec3 {
-    let stride = (cells.len() / GLIMPSED).max(1);
-    let chosen = cells.iter().skip(number % stride).step_by(stride);
-    let lit = unblocked(chosen, stand).map(|(irradiance, _)| irradiance);
-    stride as f32 * lit.sum::<Vec3>()
+/// From one place to the next, which fills the unit square evenly: powers of one over the plastic number.
+const STEP: Vec2 = Vec2::new(0.754_877_7, 0.569_840_3);
+
+/// As many rays above the horizon of an even sky.
+const GLIMPSED_EVEN: u32 = 4;
+
+/// Irradiance of the sky at `stand` by a place in a few cells, which `number` chooses: in the mean over all numbers that of
+/// the whole sky, without the steps that fixed directions leave in shadows. No place tells more than its share of all light,
+/// so that none stands out.
+pub(in crate::lighting) fn glimpse(set: &EnvironmentSet, stand: &Stand<'_>, number: u32) -> Vec3 {
+    let (shift, first) = (
+        sequence::sobol_owen(0, !number).x,
+        sequence::sobol_owen(0, number),
+    );
+    let lit = (0..GLIMPSED).filter_map(|i| {
+        let (cell, share) = set.cell_at((i as f32 + shift) / GLIMPSED as f32)?;
+        let place = (first + i as f32 * STEP).fract();
+        let (direction, irradiance) = cell.part_at(place, stand.point.normal)?;
+        (stand.sees_sky(direction)).then(|| irradiance / share)
+    });
+    lit.sum::<Vec3>() / GLIMPSED as f32
+}
+
+/// Part of the cosine-weighted hemisphere over `stand` that is open, 0…1, by a few rays which `number` chooses: in the mean
+/// over all numbers the truth.
+pub(in crate::lighting) fn glimpse_even(stand: &Stand<'_>, number: u32) -> f32 {
+    let frame = Frame::about(stand.point.normal);
+    let is_open = |&i: &u32| {
+        let local = sequence::cosine_hemisphere(sequence::sobol_owen(i, number));
+        stand.sees_sky(frame.to_world(local))
+    };
+    (0..GLIMPSED_EVEN).filter(is_open).count() as f32 / GLIMPSED_EVEN as f32
 }
 
 /// Irradiance of those of `cells` that `stand` sees, and the direction it comes from.

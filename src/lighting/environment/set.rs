@@ -5,9 +5,10 @@
 use super::place;
 use super::texels::{LUMINANCE, Sky, Texel};
 use crate::lighting::pattern;
-use crate::math::luminance;
-use glam::{DVec3, Vec3};
+use crate::math::{Frame, luminance};
+use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
+use std::f32::consts::SQRT_2;
 
 /// Blocks of texels a unit of parallel work.
 const BLOCKS: usize = 128;
@@ -102,6 +103,31 @@ impl EnvironmentCell {
             bent,
         })
     }
+
+    /// A direction within the cell and the light for a receiver with unit `normal` that comes from there, if the whole cell
+    /// were seen as that direction is. Over all `place`s in the unit square directions are spread evenly over a square as
+    /// wide as the cell, and the mean of the light is that of [`Self::arrival`]. `None` below the horizon.
+    pub(in crate::lighting) fn part_at(&self, place: Vec2, normal: Vec3) -> Option<(Vec3, Vec3)> {
+        let cosine = self.direction.dot(normal);
+        let reach = SQRT_2 * self.half_width;
+        if cosine <= -reach {
+            return None;
+        }
+        let frame = Frame::about(self.direction);
+        let off = (2.0 * place - 1.0) * self.half_width;
+        let off = frame.tangent * off.x + frame.bitangent * off.y;
+        let direction = (self.direction + off).try_normalize()?;
+        let height = direction.dot(normal);
+        if height <= 0.0 {
+            return None;
+        }
+        let irradiance = if cosine >= reach {
+            self.arrival(normal)?.irradiance
+        } else {
+            self.flux * height
+        };
+        Some((direction, irradiance))
+    }
 }
 
 /// All domes of a scene as one set of world-fixed directions that all receivers share.
@@ -110,6 +136,8 @@ pub struct EnvironmentSet {
     /// Those of evenly spread directions first.
     cells: Vec<EnvironmentCell>,
     even: usize,
+    /// Luminance of the fluxes of all cells up to and with each.
+    sums: Vec<f64>,
 }
 
 impl EnvironmentSet {
@@ -148,7 +176,27 @@ impl EnvironmentSet {
         let mut cells: Vec<_> = even.collect();
         let even = cells.len();
         cells.extend(importance.into_iter().flatten());
-        Self { cells, even }
+        let mut sum = 0.0;
+        let sums = cells.iter().map(|cell| {
+            sum += f64::from(luminance(cell.flux).max(0.0));
+            sum
+        });
+        Self {
+            sums: sums.collect(),
+            cells,
+            even,
+        }
+    }
+
+    /// The cell at `place` in [0, 1) where each is as wide as its share of all flux, and that share; `None` without light.
+    pub(in crate::lighting) fn cell_at(&self, place: f32) -> Option<(&EnvironmentCell, f32)> {
+        let all = *self.sums.last()?;
+        let wanted = f64::from(place) * all;
+        let i = self.sums.partition_point(|&sum| sum <= wanted);
+        let before = if i > 0 { self.sums[i - 1] } else { 0.0 };
+        #[expect(clippy::cast_possible_truncation, reason = "a share")]
+        let share = ((self.sums.get(i)? - before) / all) as f32;
+        (share > 0.0).then_some((&self.cells[i], share))
     }
 
     /// All cells; their moments sum to that of the environment.

@@ -53,6 +53,20 @@ fn facing(normal: Vec3) -> ShadePoint {
     }
 }
 
+/// A wall up to the horizon at x = −0.01.
+fn walled() -> Tracer {
+    let far = 1e3;
+    let corner = |y: f32, z: f32| Vec3::new(-0.01, y * far, z * far);
+    let (a, b, c, d) = (
+        corner(-1.0, -1.0),
+        corner(1.0, -1.0),
+        corner(1.0, 1.0),
+        corner(-1.0, 1.0),
+    );
+    let wall = [[a, b, c], [a, c, d]];
+    Tracer::new(&scene(vec![mesh(&wall)], &[(0, Affine3A::IDENTITY)]))
+}
+
 fn smooth_sky() -> Latlong {
     let mut map = even_map(256, 128);
     for i in 0..map.pixels.len() {
@@ -118,23 +132,49 @@ fn uniform_sky_gives_pi_l_and_half_of_it_beside_a_wall() {
     let sky = environment(None, radiance);
     let open = sky.irradiance(&open(), &facing(Vec3::Y), Vec3::ZERO);
     assert!((open - PI * radiance).abs().max_element() < 1e-5);
-    let far = 1e3;
-    let wall = [
-        [
-            Vec3::new(-0.01, -far, -far),
-            Vec3::new(-0.01, far, -far),
-            Vec3::new(-0.01, far, far),
-        ],
-        [
-            Vec3::new(-0.01, -far, -far),
-            Vec3::new(-0.01, far, far),
-            Vec3::new(-0.01, -far, far),
-        ],
-    ];
-    let tracer = Tracer::new(&scene(vec![mesh(&wall)], &[(0, Affine3A::IDENTITY)]));
+    let tracer = walled();
     let beside = sky.irradiance(&tracer, &facing(Vec3::Y), Vec3::new(0.0, 1e-4, 0.0));
     let error = (beside - 0.5 * PI * radiance).abs().max_element();
     assert!(error < 0.01 * PI, "{beside}");
+}
+
+/// Mean of many glimpses at a receiver facing `normal`.
+fn mean_glimpse(sky: &Divided, tracer: &Tracer, normal: Vec3) -> Vec3 {
+    let point = facing(normal);
+    let stand = Stand::new(tracer, &point).moved_to(Vec3::new(0.0, 1e-4, 0.0));
+    let glimpse = |number| sky.environment.glimpse(&sky.set, &stand, number).as_dvec3();
+    let sum: DVec3 = (0..GLIMPSES).map(glimpse).sum();
+    (sum / f64::from(GLIMPSES)).as_vec3()
+}
+
+const GLIMPSES: u32 = 40_000;
+
+#[test]
+fn glimpses_are_in_the_mean_what_a_wall_leaves_of_the_sky() {
+    // Half of an even sky, and each of these normals sees another part of it: (1 + n · x) / 2.
+    let (tracer, even) = (walled(), environment(None, Vec3::ONE));
+    for normal in [Vec3::Y, Vec3::X, Vec3::new(-0.6, 0.8, 0.0)] {
+        let truth = PI * 0.5 * (1.0 + normal.x);
+        let mean = mean_glimpse(&even, &tracer, normal).x;
+        assert!(
+            (mean / truth - 1.0).abs() < 0.01,
+            "{normal}: {mean} {truth}"
+        );
+    }
+}
+
+#[test]
+fn glimpses_of_few_cells_see_shadows_inside_them() {
+    let (tracer, mut sky) = (walled(), environment(Some(smooth_sky()), Vec3::ONE));
+    let fine = sky.irradiance(&tracer, &facing(Vec3::Y), Vec3::new(0.0, 1e-4, 0.0));
+    let [set] = sky.environment.sets([64]);
+    sky.set = set;
+    let mean = mean_glimpse(&sky, &tracer, Vec3::Y);
+    let fixed = sky.irradiance(&tracer, &facing(Vec3::Y), Vec3::new(0.0, 1e-4, 0.0));
+    let error = |of: Vec3| (of / fine - 1.0).abs().max_element();
+    let (glimpsed, fixed) = (error(mean), error(fixed));
+    assert!(glimpsed < 0.02, "{glimpsed}");
+    assert!(glimpsed < 0.7 * fixed, "{glimpsed} {fixed}");
 }
 
 #[test]
