@@ -337,9 +337,15 @@ pub(super) struct VerifyArgs {
     /// Sets of receivers, comma separated. Default: all.
     #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = ["points", "pixels", "surfels"])]
     pub(super) sets: Vec<String>,
+    /// Tolerances that the choice of `bake` and `render` is measured for, comma separated.
+    #[arg(long, value_name = "T", value_delimiter = ',', default_values_t = [0.05, 0.02, 0.01], value_parser = fraction)]
+    pub(super) tolerance: Vec<f64>,
     /// Measure what `--tolerance` picks and nothing else.
     #[arg(long)]
     pub(super) only_auto: bool,
+    /// As `bake` and `render` have it; `never`: receivers of the set alone are seen, which takes less time.
+    #[arg(long, value_enum, default_value_t = InterpolateName::Auto)]
+    pub(super) interpolate: InterpolateName,
     /// Rays of each of the truth's two halves.
     #[arg(long, value_name = "N", default_value_t = 8192, value_parser = clap::value_parser!(u32).range(256..=1_048_576))]
     pub(super) truth_rays: u32,

@@ -349,7 +349,7 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
             bounces: Bounces::Count(args.bounces),
             engine: EngineChoice::Auto,
             tolerance: None,
-            interpolate: true,
+            interpolate: args.interpolate == InterpolateName::Auto,
             rays: args.truth_rays,
             maps: MapsSettings::default(),
             max_solid_angle: PAPER.0,
@@ -363,6 +363,7 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
         camera: args.camera,
         receivers: args.receivers as usize,
         truth_rays: args.truth_rays,
+        tolerances: args.tolerance,
         sets: args.sets,
         only_auto: args.only_auto,
     })

@@ -287,7 +287,9 @@ pub struct VerifyJob {
     pub truth_rays: u32,
     /// Names of the sets: `points`, `pixels`, `surfels`; empty = all there are.
     pub sets: Vec<String>,
-    /// Only what `--tolerance` picks, no sweep of engines and no pictures.
+    /// Tolerances that `auto` is asked for.
+    pub tolerances: Vec<f64>,
+    /// Only what `auto` picks, no sweep of engines and no pictures.
     pub only_auto: bool,
 }
 

@@ -67,6 +67,8 @@ pub(super) struct Lit {
     /// Relative RMSE of each AOV, in order; empty where it was not measured.
     pub(super) errors: Vec<f64>,
     pub(super) relit: Relit,
+    /// Processor seconds that finding out took, this cloud's own aside.
+    pub(super) judging: f64,
 }
 
 impl From<Light> for Lit {
@@ -75,6 +77,7 @@ impl From<Light> for Lit {
             light,
             errors: Vec::new(),
             relit: Relit::default(),
+            judging: 0.0,
         }
     }
 }
@@ -92,6 +95,7 @@ struct Climbed {
     /// See [`Lit`].
     errors: Vec<f64>,
     relit: Relit,
+    judging: f64,
 }
 
 /// The surfels `aovs` need, as many as the tolerance asks for, if there is one.
@@ -148,6 +152,7 @@ pub(super) fn lit(
         light: bounce(world, climbed.baked, job, (report, diagnostics))?,
         errors: climbed.errors,
         relit: climbed.relit,
+        judging: climbed.judging,
     })
 }
 

@@ -15,7 +15,6 @@ use crate::gather::estimate::spread;
 use crate::gather::{GatherScene, RaysEngine, RaysSettings};
 use crate::lighting::{LightSamples, Lighting};
 use crate::pilot::Method;
-use crate::pilot::clock::Clock;
 use crate::pilot::error::Truth;
 use crate::receivers::lens::Frame;
 use crate::receivers::{self, Receivers, primvar};
@@ -29,9 +28,6 @@ use crate::verify::{
 use crate::writers::write_whole;
 use std::time::Instant;
 use subjects::{Swept, auto};
-
-/// Tolerances that `auto` is asked for.
-const TOLERANCES: [f64; 3] = [0.05, 0.02, 0.01];
 
 /// Pixels across of the camera's set; the height follows the aperture.
 const SET_WIDTH: u32 = 512;
@@ -257,10 +253,10 @@ impl Arena<'_> {
         let truth = Stand::new(self.world, finest, all, &aovs, &self.job.gather);
         let tuned = self.tuned(all, aov, diagnostics)?;
         let stand_on = |tuned| Stand::new(self.world, tuned, all, &aovs, &self.job.gather);
-        let stands: Vec<Stand<'_>> = tuned.iter().map(|(lit, _)| stand_on(lit)).collect();
+        let stands: Vec<Stand<'_>> = tuned.iter().map(stand_on).collect();
         let mut question = self.question(aov, &stand, &truth, diagnostics);
-        for ((stand, (_, seconds)), tolerance) in stands.iter().zip(&tuned).zip(TOLERANCES) {
-            let subject = auto(stand, tolerance, *seconds, diagnostics)?;
+        for ((stand, lit), &tolerance) in stands.iter().zip(&tuned).zip(&self.job.tolerances) {
+            let subject = auto(stand, tolerance, lit.judging, diagnostics)?;
             question.subjects.push(subject);
         }
         let set = Set::new(name, all, spread(all.len(), self.job.receivers));
@@ -283,25 +279,23 @@ impl Arena<'_> {
         Ok(())
     }
 
-    /// Surfels as each tolerance asks for them, and the processor seconds that finding out took.
+    /// Surfels as each tolerance asks for them.
     fn tuned(
         &self,
         all: &Receivers,
         aov: Aov,
         diagnostics: &Diagnostics,
-    ) -> Result<Vec<(Lit, f64)>, Error> {
-        let tune = |tolerance| {
+    ) -> Result<Vec<Lit>, Error> {
+        let tune = |&tolerance: &f64| {
             let job = GatherJob {
                 tolerance: Some(tolerance),
                 ..self.job.gather.clone()
             };
-            let clock = Clock::start();
             let mut report = Report::new(&[]);
             let run = (&mut report, diagnostics);
-            let lit = spacing::lit(self.world, (all, &[aov]), &job, run)?;
-            Ok((lit, clock.seconds()))
+            spacing::lit(self.world, (all, &[aov]), &job, run)
         };
-        TOLERANCES.into_iter().map(tune).collect()
+        self.job.tolerances.iter().map(tune).collect()
     }
 
     /// Rays that find light anew at every hit, on the sides that have surfels on `stand`; or that read the finest surfels.

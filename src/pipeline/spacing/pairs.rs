@@ -8,6 +8,7 @@ use crate::bake::{BakeSettings, Baked};
 use crate::bounce::Bounces;
 use crate::diagnostics::Diagnostics;
 use crate::gather::{self, GatherScene, HitLight, RaysEngine, RaysSettings};
+use crate::pilot::clock::Clock;
 use crate::pilot::error::{mean_magnitude, relative, rms_difference, values};
 use crate::results::{Aov, Results};
 
@@ -38,6 +39,7 @@ impl Ladder<'_> {
         let mut coarse = self.look(&coarsen(usual, first), (&mut *report, diagnostics))?;
         let mut settings = coarsen(usual, second);
         let mut before = None;
+        let start = Clock::start();
         loop {
             let fine = self.look(&settings, (&mut *report, diagnostics))?;
             let errors = if is_fixed && !is_finer(&coarse, &fine) {
@@ -63,6 +65,7 @@ impl Ladder<'_> {
                     baked: fine.baked,
                     errors,
                     relit: Relit::Near(HitLight::NEAR_RADII),
+                    judging: start.seconds() - fine.dicing,
                 });
             }
             settings.surfels = more(count, worst);
@@ -76,7 +79,9 @@ impl Ladder<'_> {
         settings: &BakeSettings,
         (report, diagnostics): (&mut Report, &Diagnostics),
     ) -> Result<Look, Error> {
+        let dicing = Clock::start();
         let baked = dice(self.world, settings, (report, diagnostics))?;
+        let dicing = dicing.seconds();
         let rays = RaysSettings {
             rays: RAYS,
             max_distance: self.job.max_distance,
@@ -96,7 +101,11 @@ impl Ladder<'_> {
         let aovs: Vec<Aov> = self.asked().collect();
         let results = gather::gather(scene, &engine, self.few, &aovs, diagnostics)?;
         drop(engine);
-        Ok(Look { baked, results })
+        Ok(Look {
+            baked,
+            dicing,
+            results,
+        })
     }
 
     /// Relative error that the finer of two clouds leaves in each AOV.
@@ -118,6 +127,8 @@ impl Ladder<'_> {
 /// A cloud and what the few receivers see of it.
 struct Look {
     baked: Baked,
+    /// Processor seconds that this took.
+    dicing: f64,
     results: Results,
 }
 
