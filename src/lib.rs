@@ -70,3 +70,4 @@ pub mod writers;
 // the whole
 pub mod cli;
 pub mod pipeline;
+pub mod recipes;

@@ -118,6 +118,8 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "writers",
         ],
     ),
+    // beside the pipeline: runs of it, in processes of their own
+    ("recipes", &["diagnostics"]),
     // the whole
     (
         "pipeline",
@@ -149,6 +151,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "cli",
         &[
             "pipeline",
+            "recipes",
             "diagnostics",
             "bake",
             "results",
@@ -173,7 +176,9 @@ const DOORS: &[(&str, &[&str])] = &[
     ("anyhow", &["cli", "writers"]),
     ("gltf", &["exchange"]),
     ("maud", &["verify", "view"]),
-    ("rustix", &["pilot", "stage"]),
+    ("rustix", &["pilot", "stage", "recipes"]),
+    ("glob", &["recipes"]),
+    ("twox_hash", &["recipes"]),
 ];
 
 fn sources() -> Vec<(String, PathBuf, String)> {

@@ -13,6 +13,7 @@ mod job;
 mod log_sink;
 mod print;
 pub mod progress;
+mod run;
 mod validate;
 mod verify;
 
@@ -33,6 +34,7 @@ pub fn main() -> ExitCode {
     let command_line: Vec<String> = std::env::args().collect();
     let command = match Cli::parse().command {
         Command::Job(command) => command,
+        Command::Run(args) => return exit_code(run::run(args)),
         Command::Completions { shell } => return exit_code(about::completions(shell)),
         Command::Man { folder } => return exit_code(about::manual(&folder)),
     };

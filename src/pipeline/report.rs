@@ -10,7 +10,7 @@ use crate::stage::raw::RawMeta;
 use crate::stage::{self, Source};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Seconds a phase, summed over frames.
@@ -60,6 +60,8 @@ pub struct ReadReport {
     pub textures: usize,
     /// Bytes of those files; 0 for images inside packages, whose layers were read anyway.
     pub texture_bytes: u64,
+    /// Layers, packages and image files that were read, each once.
+    pub files: BTreeSet<PathBuf>,
     /// The image files, each counted once.
     #[serde(skip)]
     pub(super) images: BTreeSet<PathBuf>,
@@ -69,6 +71,8 @@ impl ReadReport {
     /// Count what one frame has read.
     pub(super) fn add(&mut self, raw: &RawMeta) {
         self.layers = self.layers.max(raw.layers.len());
+        self.files
+            .extend(raw.layers.iter().filter_map(|layer| file_of(layer)));
         self.attributes += raw.read.attributes;
         self.bytes += raw.read.bytes;
     }
@@ -79,10 +83,18 @@ impl ReadReport {
             if !self.images.contains(&file) {
                 self.textures += 1;
                 self.texture_bytes += std::fs::metadata(&file).map_or(0, |about| about.len());
+                self.files.extend(file_of(&file.to_string_lossy()));
                 self.images.insert(file);
             }
         }
     }
+}
+
+/// The file that holds a layer or an image: of what lies in packages (`a.usdz[b.usdc]`) the package; `None` for layers in
+/// memory.
+fn file_of(identifier: &str) -> Option<PathBuf> {
+    let path = Path::new(identifier.split('[').next().unwrap_or(identifier));
+    path.is_file().then(|| path.to_path_buf())
 }
 
 /// How good the result is.

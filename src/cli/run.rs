@@ -1,0 +1,121 @@
+//! `surflux run`: what is heard of a recipe while it runs, and its end.
+
+use super::args::RunArgs;
+use super::frames::Frames;
+use crate::diagnostics::{CancelToken, Diagnostics, Silent};
+use crate::recipes::{self, RecipeError, RunRecipeJob, State, TaskReport};
+use anyhow::Context;
+use std::io::Write;
+use std::path::PathBuf;
+
+/// The interpreter of scripts, if nothing else is asked for: that of USD.
+const PYTHON: &str = "SURFLUX_USD_PYTHON";
+
+/// Run a recipe with all its steps.
+pub(super) fn run(args: RunArgs) -> anyhow::Result<()> {
+    let cancel = CancelToken::default();
+    let on_signal = cancel.clone();
+    ctrlc::set_handler(move || on_signal.cancel())?;
+    let diagnostics = Diagnostics::new(Box::new(Silent), cancel);
+    let frames = |text: &str| -> Result<Vec<f64>, String> {
+        let frames: Frames = text.parse().map_err(|error| format!("{error}"))?;
+        Ok(frames.0)
+    };
+    let (json, quiet) = (args.json, args.quiet);
+    let mut tell = |task: &TaskReport| {
+        if !quiet {
+            // A closed terminal ends nothing that is under way.
+            let _ = writeln!(std::io::stderr(), "{}", line(task));
+        }
+    };
+    let report = recipes::run(&job(args)?, &frames, &mut tell, &diagnostics)?;
+    if json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else if !quiet {
+        let count = |state| report.count(state);
+        let parts = [
+            (count(State::Due), "would be run"),
+            (count(State::Done), "done"),
+            (count(State::UpToDate), "up to date"),
+            (count(State::Failed), "failed"),
+            (count(State::LeftOut), "left out"),
+        ];
+        let parts = parts.iter().filter(|(count, _)| *count > 0);
+        let parts: Vec<String> = parts
+            .map(|(count, what)| format!("{count} {what}"))
+            .collect();
+        eprintln!("{} in {:.1} s", parts.join(", "), report.seconds);
+    }
+    let failed = report.count(State::Failed);
+    if failed > 0 {
+        return Err(RecipeError::Failed {
+            failed,
+            all: report.tasks.len(),
+            skipped: report.count(State::LeftOut),
+        }
+        .into());
+    }
+    Ok(())
+}
+
+fn job(args: RunArgs) -> anyhow::Result<RunRecipeJob> {
+    let name = args.recipe.file_stem().unwrap_or_default();
+    let manifest = args.manifest.unwrap_or_else(|| {
+        let mut file = name.to_os_string();
+        file.push(".manifest.json");
+        PathBuf::from(file)
+    });
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let program = std::env::current_exe().context("where this program lies is not known")?;
+    Ok(RunRecipeJob {
+        recipe: args.recipe,
+        sets: args.set,
+        manifest,
+        resume: args.resume,
+        force: args.force,
+        dry_run: args.dry_run,
+        jobs: args.jobs,
+        memory: args.memory,
+        threads: if args.threads > 0 {
+            args.threads
+        } else {
+            threads
+        },
+        program,
+        python: std::env::var_os(PYTHON).map_or_else(|| "python3".into(), PathBuf::from),
+    })
+}
+
+/// One line about a task that is over; more where it failed.
+fn line(task: &TaskReport) -> String {
+    let state = match task.state {
+        State::Due => "would run",
+        State::UpToDate => "up to date",
+        State::Done => "done",
+        State::Failed => "FAILED",
+        State::LeftOut => "left out",
+    };
+    let mut line = format!("{state:<10} {}", task.step);
+    if !task.label.is_empty() {
+        line += &format!(" ({})", task.label);
+    }
+    if task.state == State::Done {
+        line += &format!(", {:.1} s", task.seconds);
+    }
+    if task.state == State::Due {
+        line += &format!(": {}", task.command.join(" "));
+    }
+    if !task.warnings.is_empty() {
+        line += &format!(", {} warnings (in --json)", task.warnings.len());
+    }
+    for more in task.error.iter().flat_map(|error| error.lines()) {
+        line += &format!("\n    {more}");
+    }
+    line
+}
+
+/// `name=value`.
+pub(super) fn setting(text: &str) -> Result<(String, String), String> {
+    let (name, value) = text.split_once('=').ok_or("name=value is needed")?;
+    Ok((name.trim().to_owned(), value.to_owned()))
+}
