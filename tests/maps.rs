@@ -287,7 +287,10 @@ fn the_other_engine_is_asked_only_for_what_is_ambiguous() {
             asked += few.len();
             let data = vec![7.0; few.len()];
             let buffers = vec![AovBuffer { aov: aovs[0], data }];
-            Ok(Results { buffers })
+            Ok(Results {
+                buffers,
+                ..Results::default()
+            })
         };
         let results = maps::gather_sky(
             (&plan, &MapsSettings::default()),

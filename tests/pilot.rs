@@ -274,6 +274,7 @@ impl Method for Oracle {
                 aov: Aov::Visibility,
                 data: (0..receivers.len()).map(value).collect(),
             }],
+            ..Results::default()
         })
     }
 }
@@ -459,6 +460,7 @@ fn a_check_sees_what_went_wrong_after_the_pilot() {
     };
     let spoiled = Results {
         buffers: vec![spoiled],
+        ..Results::default()
     };
     let check = outcome.check.expect("it was measured");
     assert!(check.errors(&spoiled)[0].relative_rmse > 0.1);

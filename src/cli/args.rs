@@ -146,6 +146,10 @@ pub(super) struct StageArgs {
     /// Add a dome light: its radiance (1 = white), or a latlong .exr or .hdr image.
     #[arg(long, value_name = "RADIANCE|FILE")]
     pub(super) dome: Option<String>,
+    /// Tell the light of these sources apart: a collection's name, or NAME=PATHS; many times. `irradiance` is then written as
+    /// `irradiance_NAME` too, the sources of no group as `irradiance_default`.
+    #[arg(long, alias = "lightGroups", value_name = "NAME[=PATH,…]")]
+    pub(super) light_groups: Vec<String>,
     /// Only these prims, what is below and what is above them.
     #[arg(long, value_name = "PATHS", value_delimiter = ',')]
     pub(super) mask: Vec<String>,
@@ -265,8 +269,11 @@ pub(super) struct GatherArgs {
     #[arg(long, alias = "coneangle", value_name = "DEGREES", value_parser = cone_angle)]
     pub(super) cone_angle: Option<f32>,
     /// Surfel clouds (UsdGeomPoints) that shine instead of the stage's own surfels; many times.
-    #[arg(long, value_name = "CLOUD")]
+    #[arg(long, alias = "sources", value_name = "CLOUD")]
     pub(super) cloud: Vec<PathBuf>,
+    /// Write what each cloud adds to irradiance_indirect and diffuse_indirect, called by its file, besides their sum.
+    #[arg(long, requires = "cloud")]
+    pub(super) split_clouds: bool,
 }
 
 #[derive(Debug, Args)]

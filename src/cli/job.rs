@@ -13,7 +13,7 @@ use crate::pipeline::{
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::{Purpose, UpAxis};
-use crate::stage::{Composition, Door, Load};
+use crate::stage::{Composition, Door, LightGroupChoice, Load};
 use crate::writers::usd::layer::InstancePolicy;
 use anyhow::{Context, bail};
 use std::path::Path;
@@ -61,6 +61,7 @@ fn stage(args: StageArgs, command_line: &[String]) -> anyhow::Result<StageJob> {
         },
         frames: args.frames.map(|frames| frames.0).unwrap_or_default(),
         dome: args.dome.map(dome).transpose()?,
+        light_groups: light_groups(&args.light_groups)?,
         mask: args.mask,
         composition: Composition {
             load: match args.load {
@@ -74,6 +75,24 @@ fn stage(args: StageArgs, command_line: &[String]) -> anyhow::Result<StageJob> {
         purposes: args.purposes.into_iter().map(purpose).collect(),
         command: command_line.to_vec(),
     })
+}
+
+/// `NAME=PATHS`, or names separated by commas; each once.
+fn light_groups(texts: &[String]) -> anyhow::Result<Vec<LightGroupChoice>> {
+    let mut choices: Vec<LightGroupChoice> = Vec::new();
+    let split = |text: &'_ String| match text.contains('=') {
+        true => vec![text.clone()],
+        false => text.split(',').map(str::to_owned).collect(),
+    };
+    for text in texts.iter().flat_map(split) {
+        let choice: LightGroupChoice =
+            (text.parse()).map_err(|wrong| anyhow::anyhow!("--light-groups: {wrong}"))?;
+        if choices.iter().any(|known| known.name() == choice.name()) {
+            bail!("--light-groups: {} is there twice", choice.name());
+        }
+        choices.push(choice);
+    }
+    Ok(choices)
 }
 
 fn dome(text: String) -> anyhow::Result<Dome> {
@@ -239,6 +258,7 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
             falloff: args.falloff,
         },
         clouds: args.cloud,
+        splits_clouds: args.split_clouds,
         spacing: surfels.spacing,
         surfels: surfels.surfels,
     })
@@ -305,10 +325,11 @@ fn bake_view(text: &str) -> anyhow::Result<BakeView> {
 }
 
 fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob> {
+    let gather = gather(args.gather, args.surfels)?;
     let job = RenderJob {
         stage: stage(args.stage, command_line)?,
         output: output(args.output, &["exr"])?,
-        gather: gather(args.gather, args.surfels)?,
+        gather,
         camera: args.camera,
         image_width: args.image_width,
         pixel_samples: args.pixel_samples,
@@ -357,6 +378,7 @@ fn verify(args: VerifyArgs, command_line: &[String]) -> anyhow::Result<VerifyJob
             max_distance: args.max_distance,
             occlusion: OcclusionKind::default(),
             clouds: Vec::new(),
+            splits_clouds: false,
             spacing: args.surfels.spacing,
             surfels: args.surfels.surfels,
         },

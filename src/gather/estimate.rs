@@ -181,6 +181,7 @@ mod tests {
     fn one(aov: Aov, data: Vec<f32>) -> Results {
         Results {
             buffers: vec![AovBuffer { aov, data }],
+            ..Results::default()
         }
     }
 

@@ -300,6 +300,7 @@ fn empty_results(aovs: &[Aov], count: usize) -> Results {
     };
     Results {
         buffers: aovs.iter().map(buffer).collect(),
+        ..Results::default()
     }
 }
 

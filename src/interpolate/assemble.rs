@@ -75,5 +75,6 @@ fn apart(values: &[f32], aovs: &[Aov]) -> Results {
     };
     Results {
         buffers: aovs.iter().map(buffer).collect(),
+        ..Results::default()
     }
 }

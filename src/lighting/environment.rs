@@ -41,8 +41,11 @@ pub(super) struct Environment {
 
 impl Environment {
     /// Read the textures.
-    pub(super) fn new(lights: &[Light], diagnostics: &Diagnostics) -> Self {
-        let domes: Vec<_> = (lights.iter())
+    pub(super) fn new<'a>(
+        lights: impl Iterator<Item = &'a Light>,
+        diagnostics: &Diagnostics,
+    ) -> Self {
+        let domes: Vec<_> = lights
             .filter_map(|light| dome_of(light, diagnostics))
             .collect();
         let uniform = (domes.iter().all(|dome| dome.map.is_none()))

@@ -3,7 +3,7 @@
 use super::lights::AreaLight;
 use super::stand::Stand;
 use crate::diagnostics::Diagnostics;
-use crate::scene::{Linked, Scene};
+use crate::scene::{Light, Linked, Scene};
 use crate::trace::Tracer;
 use glam::Vec3;
 
@@ -24,11 +24,15 @@ struct LinkedLight {
 }
 
 impl LinkedLights {
-    /// The lights of `scene`. A hierarchy is built for each set of prims that alone blocks some light.
-    pub(super) fn new(scene: &Scene, diagnostics: &Diagnostics) -> Self {
+    /// The lights `all` of `scene`. A hierarchy is built for each set of prims that alone blocks some light.
+    pub(super) fn new<'a>(
+        scene: &Scene,
+        all: impl Iterator<Item = &'a Light>,
+        diagnostics: &Diagnostics,
+    ) -> Self {
         let (mut sets, mut tracers): (Vec<&Linked>, _) = (Vec::new(), Vec::new());
         let mut lights = Vec::new();
-        for light in &scene.lights {
+        for light in all {
             let Some(area) = AreaLight::new(light, diagnostics) else {
                 continue;
             };

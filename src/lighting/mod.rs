@@ -217,12 +217,11 @@ impl Lighting {
     /// Prepare the scene's lights and emissive surfaces; textures are read here (missing ones are warnings). `samples`
     /// are those for receivers; surfels have at most [`LightSamples::SURFEL`].
     pub fn new(shader: &Shader<'_>, samples: LightSamples, diagnostics: &Diagnostics) -> Self {
-        let lights = &shader.scene().lights;
-        let environment = Environment::new(lights, diagnostics);
+        let environment = Environment::new(shader.lights(), diagnostics);
         let coarse = samples.at_most(LightSamples::SURFEL);
         let [fine_sky, coarse_sky] = environment.sets([samples.environment, coarse.environment]);
         Self {
-            lights: LinkedLights::new(shader.scene(), diagnostics),
+            lights: LinkedLights::new(shader.scene(), shader.lights(), diagnostics),
             emitters: Emitters::new(shader),
             fine: Detail::new(samples, fine_sky),
             coarse: Detail::new(coarse, coarse_sky),

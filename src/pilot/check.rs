@@ -63,6 +63,7 @@ pub(super) fn subset(results: &Results, picks: &[usize]) -> Results {
     };
     Results {
         buffers: results.buffers.iter().map(few).collect(),
+        ..Results::default()
     }
 }
 
@@ -76,6 +77,7 @@ mod tests {
                 aov,
                 data: data.to_vec(),
             }],
+            ..Results::default()
         }
     }
 

@@ -134,6 +134,7 @@ mod tests {
                 buffer(Aov::Occlusion, vec![0.25, 1.0]),
                 buffer(Aov::Color, vec![1.0, 2.0, 3.0, 1.0]),
             ],
+            ..Results::default()
         };
         assert_eq!(values(&results, Aov::Visibility).unwrap(), [0.75, 0.0]);
         assert_eq!(values(&results, Aov::Color).unwrap(), [1.0, 2.0, 3.0]);

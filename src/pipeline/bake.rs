@@ -1,6 +1,7 @@
 //! `surflux bake`: light at the points of meshes, as primvars.
 
-use super::gather::{gather, record};
+use super::gather::record;
+use super::groups::gather_parts;
 use super::job::{BakeJob, BakeView};
 use super::report::{Report, peak_memory_bytes, timed};
 use super::view::camera;
@@ -103,7 +104,7 @@ fn bake(
             path: scene.stage.path.clone(),
         });
     }
-    let results = gather(
+    let results = gather_parts(
         world,
         &receivers,
         &job.gather.aovs,

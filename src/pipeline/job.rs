@@ -7,7 +7,7 @@ use crate::gather::maps::MapsSettings;
 use crate::gather::rays::cone::{Axis, Cone, Falloff};
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::{Purpose, UpAxis};
-use crate::stage::{Composition, Door};
+use crate::stage::{Composition, Door, LightGroupChoice};
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::path::PathBuf;
 
@@ -22,6 +22,8 @@ pub struct StageJob {
     pub frames: Vec<f64>,
     /// A dome light in addition to the stage's own.
     pub dome: Option<Dome>,
+    /// Sources to tell apart.
+    pub light_groups: Vec<LightGroupChoice>,
     /// Population mask.
     pub mask: Vec<String>,
     /// Payloads, variants, session and muted layers.
@@ -94,6 +96,8 @@ pub struct GatherJob {
     pub occlusion: OcclusionKind,
     /// Clouds that shine instead of the stage's own surfels.
     pub clouds: Vec<PathBuf>,
+    /// Tell the light of each of them apart.
+    pub splits_clouds: bool,
     /// Dicing; `None` for the count = from the number of receivers.
     pub spacing: Option<f32>,
     /// Surfels to aim at.

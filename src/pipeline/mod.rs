@@ -4,6 +4,7 @@ mod bake;
 mod choice;
 mod convert;
 mod gather;
+mod groups;
 mod info;
 mod interpolated;
 mod job;

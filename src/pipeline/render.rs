@@ -1,6 +1,7 @@
 //! `surflux render`: light seen by a camera. PBGI §6.
 
-use super::gather::{gather, record};
+use super::gather::record;
+use super::groups::gather_parts;
 use super::job::RenderJob;
 use super::report::{Report, peak_memory_bytes, timed};
 use super::view::{View, views};
@@ -93,7 +94,7 @@ fn render(
     let receivers = timed(&mut report.seconds.gather, || {
         place(world, view, job, &sampling)
     });
-    let results = gather(
+    let results = gather_parts(
         world,
         &receivers,
         &view.aovs,
@@ -104,7 +105,13 @@ fn render(
         let _phase = diagnostics.phase("write", "file", 0);
         let mut images = resolve(&results, &receivers.target);
         if !job.hide_lights {
-            add_lights(&mut images, world, view, &sampling);
+            let seen = (view, &sampling);
+            add_lights(&mut images, (world, None), seen);
+            for group in world.groups {
+                let shader = world.shader.of_group(group);
+                let part = world.lit_by(&shader, diagnostics);
+                add_lights(&mut images, (world, Some((&group.name, &part))), seen);
+            }
         }
         write(&images, &info(world, view, job), job, files)
     })
@@ -165,7 +172,7 @@ fn sampling(world: &World<'_>, view: &View, job: &RenderJob) -> Sampling {
     if job.hide_lights {
         return Sampling::uniform(job.pixel_samples);
     }
-    let glow = |origin, direction, length| glow(world, false, (origin, direction, length));
+    let glow = |origin, direction, length| glow((world, None), false, (origin, direction, length));
     let (scene, samples) = (world.scene(), job.pixel_samples);
     camera::finer_at_lights(scene, &glow, (&view.camera, view.frame), samples)
 }
@@ -184,25 +191,46 @@ fn place(world: &World<'_>, view: &View, job: &RenderJob, sampling: &Sampling) -
     camera::place_with(world.scene(), &cast, (&view.camera, view.frame), sampling)
 }
 
+/// A light group's name, and the world where nothing else shines.
+type Part<'a> = (&'a str, &'a World<'a>);
+
 /// What shines by itself along a ray (origin, unit direction, length) and how far it covers what is behind: the shape
-/// of a light, or the sky, which does not cover.
-fn glow(world: &World<'_>, sky: bool, (origin, direction, length): (Vec3, Vec3, f32)) -> Vec4 {
+/// of a light, or the sky, which does not cover. Of a part only its own lights, where no others hide them, and its sky.
+fn glow(
+    (world, part): (&World<'_>, Option<Part<'_>>),
+    sky: bool,
+    (origin, direction, length): (Vec3, Vec3, f32),
+) -> Vec4 {
     let hit = world.tracer.closest(origin, direction, length);
     let length = hit.map_or(length, |hit| hit.distance);
+    let shown = part.map_or(world, |(_, part)| part);
     match world.lighting.seen(origin, direction, length) {
-        Some(radiance) => radiance.extend(1.0),
-        None if hit.is_none() && sky => world.lighting.environment_radiance(direction).extend(0.0),
+        Some(nearest) => {
+            let own = shown.lighting.seen(origin, direction, length);
+            own.filter(|own| *own == nearest)
+                .unwrap_or(Vec3::ZERO)
+                .extend(1.0)
+        }
+        None if hit.is_none() && sky => shown.lighting.environment_radiance(direction).extend(0.0),
         None => Vec4::ZERO,
     }
 }
 
-/// Add what shines into the camera by itself: the shapes of lights to `color` (covering) and `emission`, the sky to
-/// `color` (not covering).
-fn add_lights(images: &mut [AovImage], world: &World<'_>, view: &View, sampling: &Sampling) {
-    let shown = |aov| matches!(aov, Aov::Color | Aov::Emission);
-    for image in images.iter_mut().filter(|image| shown(image.aov)) {
+/// Add what shines into the camera by itself to the images of `part`: the shapes of lights to `color` (covering) and
+/// `emission`, the sky to `color` (not covering).
+fn add_lights(
+    images: &mut [AovImage],
+    (world, part): (&World<'_>, Option<Part<'_>>),
+    (view, sampling): (&View, &Sampling),
+) {
+    let name = part.map(|(name, _)| name);
+    let shown = |image: &&mut AovImage| {
+        matches!(image.aov, Aov::Color | Aov::Emission) && image.group.as_deref() == name
+    };
+    for image in images.iter_mut().filter(shown) {
         let sky = image.aov == Aov::Color;
-        let glow = |origin, direction, length| glow(world, sky, (origin, direction, length));
+        let glow =
+            |origin, direction, length| glow((world, part), sky, (origin, direction, length));
         let seen = (&view.camera, view.frame);
         let backdrop = camera::backdrop(world.scene(), &glow, seen, sampling);
         for (pixel, light) in image

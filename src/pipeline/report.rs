@@ -168,6 +168,21 @@ pub struct Report {
 }
 
 impl Report {
+    /// Add what `part`, a gather for some of the light, took.
+    pub(super) fn add_part(&mut self, part: Self) {
+        self.seconds.read += part.seconds.read;
+        self.seconds.points += part.seconds.points;
+        self.seconds.octree += part.seconds.octree;
+        self.seconds.gather += part.seconds.gather;
+        self.counts.surfels = self.counts.surfels.max(part.counts.surfels);
+        self.counts.nodes = self.counts.nodes.max(part.counts.nodes);
+        self.counts.receivers = self.counts.receivers.max(part.counts.receivers);
+        self.counts.gathered = self.counts.gathered.max(part.counts.gathered);
+        for (name, value) in part.settings {
+            self.settings.entry(name).or_insert(value);
+        }
+    }
+
     /// An empty report of `command`.
     pub fn new(command: &[String]) -> Self {
         Self {

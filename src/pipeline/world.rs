@@ -5,12 +5,13 @@ use super::{Dome, Error, StageJob};
 use crate::diagnostics::Diagnostics;
 use crate::lighting::{LightSamples, Lighting};
 use crate::results::Aov;
-use crate::scene::{Light, LightKind, Linked, Scene};
+use crate::scene::{Light, LightGroup, LightKind, Linked, Scene};
 use crate::shading::Shader;
 use crate::stage::{self, ReadSettings, Source};
 use crate::trace::Tracer;
 use glam::{Affine3A, Vec3};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What a job has to read besides geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,15 +64,31 @@ pub(super) struct World<'a> {
     /// Materials of [`Self::scene`].
     pub shader: &'a Shader<'a>,
     /// Rays.
-    pub tracer: Tracer,
+    pub tracer: Arc<Tracer>,
     /// Lights; none when the job needs none.
     pub lighting: Lighting,
+    /// Sources told apart, all of them in one group each; empty where nobody asks for that.
+    pub groups: &'a [LightGroup],
 }
 
 impl<'a> World<'a> {
     /// The scene.
     pub(super) fn scene(&self) -> &'a Scene {
         self.shader.scene()
+    }
+
+    /// The same world where nothing but what `shader` lets shine does.
+    pub(super) fn lit_by<'b>(
+        &self,
+        shader: &'b Shader<'b>,
+        diagnostics: &Diagnostics,
+    ) -> World<'b> {
+        World {
+            shader,
+            tracer: Arc::clone(&self.tracer),
+            lighting: Lighting::new(shader, LightSamples::default(), diagnostics),
+            groups: &[],
+        }
     }
 }
 
@@ -84,16 +101,19 @@ pub(super) fn with_world<T>(
     work: impl FnOnce(&World<'_>, &mut Report) -> Result<T, Error>,
 ) -> Result<T, Error> {
     let mut seconds = 0.0;
-    let mut scene = timed(&mut seconds, || {
+    let (scene, groups) = timed(&mut seconds, || {
         let _phase = diagnostics.phase("read", "stage", 0);
         let settings = read_settings(job, time, needs);
         let raw = stage::compose(source, &settings, diagnostics)?;
         report.read.add(&raw.meta);
-        stage::passes::scene(&raw, &settings, diagnostics)
+        let mut scene = stage::passes::scene(&raw, &settings, diagnostics)?;
+        let mut groups = Vec::new();
+        if needs.lights {
+            scene.lights.extend(job.dome.as_ref().map(dome_light));
+            groups = stage::passes::light_groups((&raw, &scene), &job.light_groups, diagnostics);
+        }
+        Ok::<_, Error>((scene, groups))
     })?;
-    if needs.lights {
-        scene.lights.extend(job.dome.as_ref().map(dome_light));
-    }
     if scene.triangle_count() == 0 {
         return Err(Error::NothingToLight {
             path: scene.stage.path,
@@ -107,9 +127,10 @@ pub(super) fn with_world<T>(
         }
     });
     let world = timed(&mut seconds, || World {
-        tracer: Tracer::new(&scene),
+        tracer: Arc::new(Tracer::new(&scene)),
         lighting: Lighting::new(&shader, LightSamples::default(), diagnostics),
         shader: &shader,
+        groups: &groups,
     });
     let images = shader.images().map(Path::to_owned);
     report

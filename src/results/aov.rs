@@ -171,6 +171,22 @@ impl Aov {
         )
     }
 
+    /// True if it is the sum of what each light makes of it (but for the alpha of `color`).
+    pub fn adds_up(self) -> bool {
+        matches!(
+            self,
+            Self::IrradianceDirect
+                | Self::IrradianceEnvironment
+                | Self::IrradianceIndirect
+                | Self::Irradiance
+                | Self::DiffuseDirect
+                | Self::DiffuseIndirect
+                | Self::SpecularIndirect
+                | Self::Emission
+                | Self::Color
+        )
+    }
+
     /// The AOV whose error this is, if it is one.
     pub fn error_of(self) -> Option<Self> {
         match self {

@@ -7,6 +7,8 @@ pub use aov::{Aov, ValueType};
 pub use resolve::{AovImage, resolve};
 
 use crate::scene::PrimId;
+use std::borrow::Cow;
+use std::sync::Arc;
 
 /// Values of one AOV, one a receiver, `components` floats each, in receiver order.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +24,25 @@ pub struct AovBuffer {
 pub struct Results {
     /// In the order asked for.
     pub buffers: Vec<AovBuffer>,
+    /// The same of parts of the light, where light groups are told apart.
+    pub groups: Vec<GroupResults>,
+}
+
+/// What one group of lights makes of AOVs that are sums over lights.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GroupResults {
+    /// Name of the group.
+    pub name: Arc<str>,
+    /// In the order asked for.
+    pub buffers: Vec<AovBuffer>,
+}
+
+/// What `name` of an AOV or of a component of it is called on disk where it holds the light of `group`.
+pub fn name_of_group(name: &'static str, group: Option<&str>) -> Cow<'static, str> {
+    match group {
+        None => Cow::Borrowed(name),
+        Some(group) => Cow::Owned(format!("{name}_{group}")),
+    }
 }
 
 impl Results {

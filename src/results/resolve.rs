@@ -2,6 +2,8 @@
 
 use super::{Aov, AovBuffer, PixelShare, Results, Target, ValueType};
 use rayon::prelude::*;
+use std::borrow::Cow;
+use std::sync::Arc;
 
 /// `depth` of a pixel that sees nothing: farther than anything, but finite.
 /// Blender's and Cycles' value for the background.
@@ -15,6 +17,8 @@ pub const NO_PRIM: f32 = -1.0;
 pub struct AovImage {
     /// Which AOV.
     pub aov: Aov,
+    /// The lights whose part it is; `None` = all of it.
+    pub group: Option<Arc<str>>,
     /// Pixels across.
     pub width: u32,
     /// Pixels down.
@@ -24,6 +28,11 @@ pub struct AovImage {
 }
 
 impl AovImage {
+    /// The name on disk.
+    pub fn name(&self) -> Cow<'static, str> {
+        super::name_of_group(self.aov.name(), self.group.as_deref())
+    }
+
     /// Components of pixel `index` (`y * width + x`).
     pub fn pixel(&self, index: usize) -> &[f32] {
         let components = self.aov.components();
@@ -64,7 +73,7 @@ fn background(aov: Aov) -> f32 {
     }
 }
 
-/// Every AOV of `results` as an image, in their order; none when the target is not an image.
+/// Every AOV of `results` as an image, in their order, those of light groups after them; none when the target is not an image.
 ///
 /// Light, albedo, `occlusion`, `visibility` and its harmonics are premultiplied by coverage and 0 where nothing is
 /// seen; `N`, `bent_normal` and `illumination_direction` are made unit again; `P`, `depth` and `primId` are those of the receiver that fills most of the
@@ -78,13 +87,20 @@ pub fn resolve(results: &Results, target: &Target) -> Vec<AovImage> {
     else {
         return Vec::new();
     };
-    let image = |buffer: &AovBuffer| AovImage {
+    let image = |(group, buffer): (Option<&Arc<str>>, &AovBuffer)| AovImage {
         aov: buffer.aov,
+        group: group.cloned(),
         width: *width,
         height: *height,
         data: pixels(buffer, *width as usize * *height as usize, shares),
     };
-    results.buffers.par_iter().map(image).collect()
+    let whole = results.buffers.iter().map(|buffer| (None, buffer));
+    let groups = results.groups.iter().flat_map(|group| {
+        let buffers = group.buffers.iter();
+        buffers.map(|buffer| (Some(&group.name), buffer))
+    });
+    let all: Vec<_> = whole.chain(groups).collect();
+    all.into_par_iter().map(image).collect()
 }
 
 fn pixels(buffer: &AovBuffer, pixel_count: usize, shares: &[PixelShare]) -> Vec<f32> {
@@ -154,6 +170,7 @@ mod tests {
                 aov,
                 data: data.to_vec(),
             }],
+            ..Results::default()
         };
         resolve(&results, &target()).remove(0)
     }
@@ -213,6 +230,7 @@ mod tests {
                 aov: Aov::Depth,
                 data: vec![],
             }],
+            ..Results::default()
         };
         assert!(resolve(&results, &Target::Surfels).is_empty());
         let empty = Target::Image {

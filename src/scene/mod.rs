@@ -6,6 +6,7 @@
 
 pub mod camera;
 pub mod light;
+mod light_group;
 pub mod material;
 pub mod mesh;
 pub mod placed;
@@ -14,6 +15,7 @@ pub mod render_product;
 
 pub use camera::Camera;
 pub use light::{Light, LightKind, Linked, Shaping};
+pub use light_group::LightGroup;
 pub use material::{ColorSpace, Input, Material, MaterialId, TextureRead, Wrap};
 pub use mesh::{Cage, Interpolation, Mesh, MeshId, Normals, Primvar};
 pub use placed::{PlacedMesh, on_the_side_of};

@@ -5,11 +5,12 @@ mod material;
 mod textures;
 
 use crate::diagnostics::Diagnostics;
-use crate::scene::{MaterialId, Prim, PrimId, Scene};
+use crate::scene::{Light, LightGroup, MaterialId, Prim, PrimId, Scene};
 use glam::Vec3;
 use gloss::{Gloss, Lobe};
 use material::Compiled;
 use std::path::Path;
+use std::sync::Arc;
 use textures::{Reads, Textures};
 
 /// Albedo of surfaces that have neither a material nor `displayColor`: UsdPreviewSurface's default.
@@ -45,9 +46,11 @@ pub struct Surface {
 #[derive(Debug)]
 pub struct Shader<'a> {
     scene: &'a Scene,
-    textures: Textures,
+    textures: Arc<Textures>,
     /// By [`MaterialId`]; `None` for materials on no prim of the scene.
-    materials: Vec<Option<Compiled<'a>>>,
+    materials: Arc<[Option<Compiled<'a>>]>,
+    /// Only its sources shine; `None` = all do.
+    group: Option<&'a LightGroup>,
 }
 
 impl<'a> Shader<'a> {
@@ -77,8 +80,35 @@ impl<'a> Shader<'a> {
             materials: materials
                 .map(|(material, used)| used.then(|| Compiled::new(material, &textures)))
                 .collect(),
-            textures,
+            textures: Arc::new(textures),
+            group: None,
         }
+    }
+
+    /// The same materials and textures where only the sources of `group` shine.
+    #[must_use]
+    pub fn of_group(&self, group: &'a LightGroup) -> Self {
+        Self {
+            scene: self.scene,
+            textures: Arc::clone(&self.textures),
+            materials: Arc::clone(&self.materials),
+            group: Some(group),
+        }
+    }
+
+    /// The lights that shine: those of the group if this is one's, else all of the scene.
+    pub fn lights(&self) -> impl Iterator<Item = &'a Light> {
+        let group = self.group;
+        let shines = move |i: usize| group.is_none_or(|group| group.lights[i]);
+        let lights = self.scene.lights.iter().enumerate();
+        lights
+            .filter(move |(i, _)| shines(*i))
+            .map(|(_, light)| light)
+    }
+
+    /// True if the emission of `prim` counts.
+    fn shines(&self, prim: PrimId) -> bool {
+        self.group.is_none_or(|group| group.has_prim(prim))
     }
 
     /// What reflects glossily at `point`. Prims without material: what UsdPreviewSurface does by default.
@@ -106,16 +136,24 @@ impl<'a> Shader<'a> {
     /// The surface at `point`. Prims without material: `displayColor` and `displayOpacity`, else 0.18 gray.
     pub fn surface(&self, point: &SurfacePoint) -> Surface {
         let prim = &self.scene.prims[point.prim.index()];
-        match self.material_at(prim, point.triangle) {
-            Some(material) => {
-                material.surface(&self.textures, self.scene.mesh_of(prim), prim, point)
-            }
-            None => self.unbound(prim, point),
+        let Some(material) = self.material_at(prim, point.triangle) else {
+            return self.unbound(prim, point);
+        };
+        let surface = material.surface(&self.textures, self.scene.mesh_of(prim), prim, point);
+        match self.shines(point.prim) {
+            true => surface,
+            false => Surface {
+                emission: Vec3::ZERO,
+                ..surface
+            },
         }
     }
 
     /// True if triangle `triangle` of `prim` may emit (its material's emission is not constantly black).
     pub fn may_emit(&self, prim: PrimId, triangle: u32) -> bool {
+        if !self.shines(prim) {
+            return false;
+        }
         let prim = &self.scene.prims[prim.index()];
         self.material_at(prim, triangle)
             .is_some_and(Compiled::may_emit)

@@ -11,6 +11,7 @@ pub mod validate;
 pub mod worker;
 
 pub use composition::{Composition, Load, VariantChoice};
+pub use passes::LightGroupChoice;
 
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::scene::Scene;

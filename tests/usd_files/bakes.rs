@@ -157,7 +157,10 @@ fn results(prims: u32, salt: u32) -> Results {
     ];
     let mut buffers: Vec<_> = aovs.map(buffer).into();
     buffers.push(id);
-    Results { buffers }
+    Results {
+        buffers,
+        ..Results::default()
+    }
 }
 
 fn value(results: &Results, aov: Aov, prim: u32, point: u32) -> &[f32] {

@@ -139,6 +139,7 @@ fn read(
     };
     Results {
         buffers: aovs.iter().map(buffer).collect(),
+        ..Results::default()
     }
 }
 

@@ -220,7 +220,7 @@ fn domes_look_up_their_map_in_their_own_frame_and_add_up() {
         blockers: Linked::All,
     };
     let lights = [dome(1.0), dome(0.5), dome(0.0)];
-    let two = divided(Environment::new(&lights, &Diagnostics::default()));
+    let two = divided(Environment::new(lights.iter(), &Diagnostics::default()));
     assert_eq!(two.environment.uniform, Some(Vec3::splat(1.5)));
     let irradiance = two.irradiance(&open(), &facing(Vec3::X), Vec3::ZERO);
     assert!((irradiance - 1.5 * PI).abs().max_element() < 1e-4);
@@ -242,7 +242,7 @@ fn a_missing_texture_is_a_warning_and_an_even_sky() {
         lit: Linked::All,
         blockers: Linked::All,
     };
-    let sky = Environment::new(&[dome], &diagnostics);
+    let sky = Environment::new([dome].iter(), &diagnostics);
     assert_eq!(diagnostics.warnings().len(), 1);
     assert_eq!(sky.uniform, Some(Vec3::ONE));
 }

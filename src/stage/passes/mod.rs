@@ -6,6 +6,8 @@ pub mod look;
 pub mod skinning;
 pub mod xform;
 
+pub use look::light_groups::{LightGroupChoice, light_groups};
+
 use super::raw::{RawAttribute, RawMeta, RawPrim, RawStage};
 use super::{Error, ReadSettings, VariantChoice};
 use crate::diagnostics::Diagnostics;

@@ -84,10 +84,10 @@ pub fn write_exr(
         }
         ExrLayout::MultiPart => {
             let part = |image: &AovImage| {
-                let name = Some(image.aov.name());
+                let name = Some(image.name());
                 layer(
                     size,
-                    layer_attributes(info, interop_id(image.aov), name),
+                    layer_attributes(info, interop_id(image.aov), name.as_deref()),
                     channels(image),
                 )
             };
@@ -252,9 +252,9 @@ fn channels(image: &AovImage) -> Vec<AnyChannel<FlatSamples>> {
     let aov = image.aov;
     let channel = |(component, suffix): (usize, &&str)| {
         let name = match (aov, aov.component_name(component)) {
-            (Aov::Color, _) => (*suffix).to_owned(),
+            (Aov::Color, _) if image.group.is_none() => (*suffix).to_owned(),
             (_, Some(name)) => format!("{name}.{suffix}"),
-            (_, None) => format!("{}.{suffix}", aov.name()),
+            (_, None) => format!("{}.{suffix}", image.name()),
         };
         AnyChannel::new(text(&name), samples(image, component))
     };
@@ -304,6 +304,7 @@ mod tests {
         let data = (0..width * height * components).map(|i| value(i / components, i % components));
         AovImage {
             aov,
+            group: None,
             width: 5,
             height: 3,
             data: data.collect(),
@@ -489,12 +490,14 @@ assert image.seek_subimage(5, 0) and image.spec().getattribute("oiio:subimagenam
         let path = folder.path().join("out.exr");
         let small = AovImage {
             aov: Aov::Depth,
+            group: None,
             width: 1,
             height: 1,
             data: vec![0.0],
         };
         let empty = AovImage {
             aov: Aov::Depth,
+            group: None,
             width: 0,
             height: 1,
             data: vec![],

@@ -166,6 +166,7 @@ mod tests {
         let width = u32::try_from(data.len() / aov.components()).unwrap();
         AovImage {
             aov,
+            group: None,
             width,
             height: 1,
             data: data.to_vec(),

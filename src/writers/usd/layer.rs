@@ -8,11 +8,14 @@ use super::opinions::{Declaration, Opinions};
 use super::targets::{self, Classes};
 use super::{Error, Provenance, author_metadata, baked, save};
 use crate::diagnostics::Diagnostics;
-use crate::results::{Aov, AovBuffer, BakeInterpolation, PrimvarSpan, Results, ValueType};
+use crate::results::{
+    Aov, AovBuffer, BakeInterpolation, PrimvarSpan, Results, ValueType, name_of_group,
+};
 use crate::scene::{Scene, StageInfo};
 use glam::Vec3;
 use openusd::gf;
 use openusd::sdf::{FieldKey, Path as SdfPath, PathListOp, Specifier, Value};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -21,7 +24,7 @@ pub use super::targets::InstancePolicy;
 /// What a bake writes.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct BakeOptions {
-    /// AOVs to write, in order; the results must hold them all.
+    /// AOVs to write, in order; the results must hold them all. Light groups of the results are written too.
     pub aovs: Vec<Aov>,
     /// AOV shown as `displayColor` (one float or harmonics = gray, alpha dropped); `None` leaves the asset's.
     pub display_color: Option<Aov>,
@@ -36,11 +39,14 @@ pub struct BakeOptions {
 pub struct LayerWriter {
     stage: StageInfo,
     options: BakeOptions,
-    prims: BTreeMap<String, BTreeMap<&'static str, Primvar>>,
+    prims: BTreeMap<String, Primvars>,
     classes: Classes,
     inherits: BTreeMap<String, String>,
     deinstanced: BTreeSet<String>,
 }
+
+/// Primvars of one prim by name.
+type Primvars = BTreeMap<Cow<'static, str>, Primvar>;
 
 /// One primvar of one prim.
 #[derive(Debug)]
@@ -85,17 +91,23 @@ impl LayerWriter {
                 continue;
             };
             let primvars = self.prims.entry(path).or_default();
-            for buffer in self.options.aovs.iter().map(buffer) {
+            let whole = self.options.aovs.iter().map(|aov| (None, buffer(aov)));
+            let groups = results.groups.iter().flat_map(|group| {
+                let buffers = group.buffers.iter();
+                buffers.map(|buffer| (Some(&*group.name), buffer))
+            });
+            for (group, buffer) in whole.chain(groups) {
                 // ids do not move, so they are one value whatever the frames
                 let is_id = buffer.aov.value_type() == ValueType::Id;
                 let time = time.filter(|_| !is_id);
                 for (name, type_name, value) in named(buffer.aov, average(buffer, &spans)) {
+                    let name = name_of_group(name, group);
                     add_value(primvars, (name, type_name), &spans, (time, value));
                 }
             }
             if let Some(shown) = shown {
                 let value = colors(shown.aov, &average(shown, &spans));
-                let name = ("displayColor", "color3f[]");
+                let name = ("displayColor".into(), "color3f[]");
                 add_value(primvars, name, &spans, (time, value));
             }
         }
@@ -263,8 +275,8 @@ fn colors(aov: Aov, values: &[f32]) -> Value {
 }
 
 fn add_value(
-    primvars: &mut BTreeMap<&'static str, Primvar>,
-    (name, type_name): (&'static str, &'static str),
+    primvars: &mut Primvars,
+    (name, type_name): (Cow<'static, str>, &'static str),
     spans: &[&PrimvarSpan],
     (time, value): (Option<f64>, Value),
 ) {
@@ -291,11 +303,7 @@ pub(super) fn author_range(layer: &mut Opinions, stage: &StageInfo) {
     }
 }
 
-fn author_prim(
-    layer: &mut Opinions,
-    path: &str,
-    primvars: BTreeMap<&'static str, Primvar>,
-) -> Result<(), Error> {
+fn author_prim(layer: &mut Opinions, path: &str, primvars: Primvars) -> Result<(), Error> {
     let prim = layer.over(path)?;
     for (name, primvar) in primvars {
         let full = format!("primvars:{name}");

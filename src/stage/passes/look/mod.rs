@@ -6,6 +6,7 @@ mod cameras;
 mod collections;
 #[cfg(test)]
 mod fixture;
+pub mod light_groups;
 mod lights;
 pub(super) mod links;
 mod materials;
