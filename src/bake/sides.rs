@@ -6,7 +6,7 @@
 //! a light or a camera within the mesh's bounds: cautious, as it costs a few surfels where it is wrong.
 
 use crate::math::Bounds3;
-use crate::scene::{LightKind, Mesh, Prim, PrimId, Scene};
+use crate::scene::{Light, LightKind, Mesh, Prim, PrimId, Scene};
 use crate::surfels::Sides;
 use glam::Vec3;
 
@@ -65,10 +65,12 @@ impl Contents {
                 position: bounds.center(),
                 prim: Some(PrimId(id)),
             });
-        let has_place =
-            |kind: &LightKind| !matches!(kind, LightKind::Distant { .. } | LightKind::Dome { .. });
-        let lights = scene.lights.iter().filter(|light| has_place(&light.kind));
-        let lights = lights.map(|light| Vec3::from(light.world_from_light.translation));
+        let places = |light: &Light| match &light.kind {
+            LightKind::Distant { .. } | LightKind::Dome { .. } => Vec::new(),
+            LightKind::Particles(set) => set.position.clone(),
+            _ => vec![Vec3::from(light.world_from_light.translation)],
+        };
+        let lights = scene.lights.iter().flat_map(places);
         let cameras = scene.cameras.iter();
         let cameras =
             cameras.map(|camera| (camera.world_from_camera.translation - scene.origin).as_vec3());

@@ -268,7 +268,8 @@ pub(super) struct GatherArgs {
     /// Half-angle of the cone that these ask about, degrees. Default: 90, and 20 for reflections. By rays.
     #[arg(long, alias = "coneangle", value_name = "DEGREES", value_parser = cone_angle)]
     pub(super) cone_angle: Option<f32>,
-    /// Surfel clouds (UsdGeomPoints) that shine instead of the stage's own surfels; many times.
+    /// Clouds (UsdGeomPoints) that shine: surfels instead of the stage's own; points without normals, or with emission and no
+    /// radiosity, as particles that light the stage. Many times.
     #[arg(long, alias = "sources", value_name = "CLOUD")]
     pub(super) cloud: Vec<PathBuf>,
     /// Write what each cloud adds to irradiance_indirect and diffuse_indirect, called by its file, besides their sum.

@@ -61,6 +61,7 @@ fn stage(args: StageArgs, command_line: &[String]) -> anyhow::Result<StageJob> {
         },
         frames: args.frames.map(|frames| frames.0).unwrap_or_default(),
         dome: args.dome.map(dome).transpose()?,
+        emitters: Vec::new(),
         light_groups: light_groups(&args.light_groups)?,
         mask: args.mask,
         composition: Composition {
@@ -74,6 +75,18 @@ fn stage(args: StageArgs, command_line: &[String]) -> anyhow::Result<StageJob> {
         },
         purposes: args.purposes.into_iter().map(purpose).collect(),
         command: command_line.to_vec(),
+    })
+}
+
+/// The stage with the particles of the clouds that `gather` has.
+fn lit_stage(
+    args: StageArgs,
+    gather: &GatherJob,
+    command_line: &[String],
+) -> anyhow::Result<StageJob> {
+    Ok(StageJob {
+        emitters: gather.clouds.clone(),
+        ..stage(args, command_line)?
     })
 }
 
@@ -292,7 +305,7 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
         );
     }
     Ok(BakeJob {
-        stage: stage(args.stage, command_line)?,
+        stage: lit_stage(args.stage, &gather, command_line)?,
         output: output(args.output, USD_EXTENSIONS)?,
         gather,
         interpolation: match args.interpolation {
@@ -327,7 +340,7 @@ fn bake_view(text: &str) -> anyhow::Result<BakeView> {
 fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob> {
     let gather = gather(args.gather, args.surfels)?;
     let job = RenderJob {
-        stage: stage(args.stage, command_line)?,
+        stage: lit_stage(args.stage, &gather, command_line)?,
         output: output(args.output, &["exr"])?,
         gather,
         camera: args.camera,

@@ -14,13 +14,13 @@ use crate::math::{Bounds3, luminance};
 use glam::{DVec3, Vec2, Vec3};
 
 /// A cluster's radius over its distance below which it counts as a point: the error of that is of second order.
-const POINT_LIKE: f32 = 0.05;
+pub(super) const POINT_LIKE: f32 = 0.05;
 /// A triangle's radius over its distance below which three points stand for it: exact to third order.
 const THREE_POINTS: f32 = 0.25;
 /// Most triangles of a cluster that is not divided.
 const LEAF_SIZE: usize = 8;
 /// So many clusters are looked at for one receiver; those left then are taken as they are, roughly.
-const MOST_VISITS: usize = 2048;
+pub(super) const MOST_VISITS: usize = 2048;
 /// Subtrees of at least this many triangles are built in parallel.
 const PARALLEL: usize = 8192;
 
@@ -40,24 +40,32 @@ struct Source {
 
 /// A cluster: a run of sources; its first child follows it.
 #[derive(Debug, Clone, Copy)]
-struct Node {
-    first: u32,
-    count: u32,
+pub(super) struct Node {
+    pub(super) first: u32,
+    pub(super) count: u32,
     /// The second child; 0 = none.
-    second: u32,
+    pub(super) second: u32,
     /// Of power.
-    center: Vec3,
+    pub(super) center: Vec3,
     /// Of the ball about the center that holds it.
-    radius: f32,
+    pub(super) radius: f32,
     /// Sum over its sources.
-    moment: Vec3,
+    pub(super) moment: Vec3,
     /// Unit, in the middle of its normals.
-    axis: Vec3,
+    pub(super) axis: Vec3,
     /// Cosine of the largest angle between a normal and the axis.
-    cone: f32,
-    power: f32,
+    pub(super) cone: f32,
+    pub(super) power: f32,
     /// Mean emission over its luminance.
-    color: Vec3,
+    pub(super) color: Vec3,
+}
+
+/// What a tree is built over.
+pub(super) trait Item: Send + Sync + Sized {
+    fn center(&self) -> Vec3;
+
+    /// Sums over `items`, at least one, the first of which has the number `first`; without children.
+    fn node(items: &[Self], first: u32) -> Node;
 }
 
 /// All such triangles.
@@ -71,13 +79,13 @@ pub(super) struct Clusters {
 
 /// A part of the emitters and what it gives without occluders.
 #[derive(Debug, Clone, Copy)]
-struct Part {
-    first: u32,
-    count: u32,
+pub(super) struct Part {
+    pub(super) first: u32,
+    pub(super) count: u32,
     /// In luminance.
-    irradiance: f32,
-    power: f32,
-    color: Vec3,
+    pub(super) irradiance: f32,
+    pub(super) power: f32,
+    pub(super) color: Vec3,
 }
 
 impl Clusters {
@@ -116,61 +124,13 @@ impl Clusters {
     /// Irradiance; rays go to the points that `squares` pick, a quarter of them if these agree.
     pub(super) fn irradiance(&self, stand: &Stand<'_>, squares: &[Vec2]) -> Vec3 {
         let parts = self.parts(stand);
-        let mut sum = 0.0;
-        let sums: Vec<f32> = (parts.iter())
-            .map(|part| {
-                sum += part.irradiance;
-                sum
-            })
-            .collect();
-        if sum.is_nan() || sum <= 0.0 {
-            return Vec3::ZERO;
-        }
-        let unoccluded: Vec3 = parts.iter().map(|part| part.color * part.irradiance).sum();
-        let (mut all, mut lit) = (Vec3::ZERO, Vec3::ZERO);
-        let quarter = squares.len().div_ceil(4);
-        for (index, &square) in squares.iter().enumerate() {
-            if index == quarter && all != Vec3::ZERO && (lit == Vec3::ZERO || lit == all) {
-                break;
-            }
-            let pick = square.x * sum;
-            let at = sums
-                .partition_point(|&sum| sum <= pick)
-                .min(parts.len() - 1);
-            let before = if at == 0 { 0.0 } else { sums[at - 1] };
-            let within = ((pick - before) / parts[at].irradiance).clamp(0.0, 1.0);
-            let place = Vec2::new(within, square.y);
-            if let Some((weight, is_visible)) = self.look(stand, &parts[at], place) {
-                all += weight;
-                if is_visible {
-                    lit += weight;
-                }
-            }
-        }
-        let share = |lit: f32, all: f32| if all > 0.0 { lit / all } else { 0.0 };
-        unoccluded
-            * Vec3::new(
-                share(lit.x, all.x),
-                share(lit.y, all.y),
-                share(lit.z, all.z),
-            )
+        visible(&parts, squares, |part, place| self.look(stand, part, place))
     }
 
     /// What the point of `part` picked by `place` gives, over what it should give by its share, and whether it is seen.
     fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<(Vec3, bool)> {
-        let first = part.first as usize;
-        let run = &self.sums[first..first + part.count as usize];
-        let before = if first == 0 {
-            0.0
-        } else {
-            self.sums[first - 1]
-        };
-        let pick = before + f64::from(place.x) * (run[run.len() - 1] - before);
-        let index = run.partition_point(|&sum| sum <= pick).min(run.len() - 1);
-        let low = if index == 0 { before } else { run[index - 1] };
-        #[expect(clippy::cast_possible_truncation, reason = "a part of 1")]
-        let within = ((pick - low) / (run[index] - low)).clamp(0.0, 1.0) as f32;
-        let source = &self.sources[first + index];
+        let (index, within) = pick(&self.sums, part, place.x);
+        let source = &self.sources[index];
         let (u, v) = barycentrics(Vec2::new(within, place.y));
         let [a, b, c] = source.corners;
         let target = a * (1.0 - u - v) + b * u + c * v;
@@ -230,6 +190,67 @@ impl Clusters {
     }
 }
 
+/// Irradiance by `parts`: rays go to the points that `squares` pick, `look` tells what such a point of a part gives, over
+/// what it should give by its share, and whether it is seen. A quarter of the rays if these agree.
+pub(super) fn visible(
+    parts: &[Part],
+    squares: &[Vec2],
+    look: impl Fn(&Part, Vec2) -> Option<(Vec3, bool)>,
+) -> Vec3 {
+    let mut sum = 0.0;
+    let sums: Vec<f32> = (parts.iter())
+        .map(|part| {
+            sum += part.irradiance;
+            sum
+        })
+        .collect();
+    if sum.is_nan() || sum <= 0.0 {
+        return Vec3::ZERO;
+    }
+    let unoccluded: Vec3 = parts.iter().map(|part| part.color * part.irradiance).sum();
+    let (mut all, mut lit) = (Vec3::ZERO, Vec3::ZERO);
+    let quarter = squares.len().div_ceil(4);
+    for (index, &square) in squares.iter().enumerate() {
+        if index == quarter && all != Vec3::ZERO && (lit == Vec3::ZERO || lit == all) {
+            break;
+        }
+        let pick = square.x * sum;
+        let at = sums
+            .partition_point(|&sum| sum <= pick)
+            .min(parts.len() - 1);
+        let before = if at == 0 { 0.0 } else { sums[at - 1] };
+        let within = ((pick - before) / parts[at].irradiance).clamp(0.0, 1.0);
+        let place = Vec2::new(within, square.y);
+        if let Some((weight, is_visible)) = look(&parts[at], place) {
+            all += weight;
+            if is_visible {
+                lit += weight;
+            }
+        }
+    }
+    let share = |lit: f32, all: f32| if all > 0.0 { lit / all } else { 0.0 };
+    unoccluded
+        * Vec3::new(
+            share(lit.x, all.x),
+            share(lit.y, all.y),
+            share(lit.z, all.z),
+        )
+}
+
+/// The source of `part` that `place`, 0…1, picks by power, `sums` being its running sums over all sources, and what is left
+/// of `place` within it, 0…1.
+pub(super) fn pick(sums: &[f64], part: &Part, place: f32) -> (usize, f32) {
+    let first = part.first as usize;
+    let run = &sums[first..first + part.count as usize];
+    let before = if first == 0 { 0.0 } else { sums[first - 1] };
+    let pick = before + f64::from(place) * (run[run.len() - 1] - before);
+    let index = run.partition_point(|&sum| sum <= pick).min(run.len() - 1);
+    let low = if index == 0 { before } else { run[index - 1] };
+    #[expect(clippy::cast_possible_truncation, reason = "a part of 1")]
+    let within = ((pick - low) / (run[index] - low)).clamp(0.0, 1.0) as f32;
+    (first + index, within)
+}
+
 /// What a receiver sees of a cluster.
 enum Seen {
     /// It is below the horizon or turned away.
@@ -241,7 +262,7 @@ enum Seen {
 }
 
 impl Node {
-    fn part(&self, irradiance: f32) -> Part {
+    pub(super) fn part(&self, irradiance: f32) -> Part {
         Part {
             first: self.first,
             count: self.count,
@@ -354,20 +375,20 @@ impl Source {
 /// follows its parent.
 #[expect(
     clippy::cast_possible_truncation,
-    reason = "Clusters::new asserts the count"
+    reason = "whoever builds one asserts the count"
 )]
-fn build(sources: &mut [Source], first: u32) -> Vec<Node> {
-    let node = node_of(sources, first);
+pub(super) fn build<T: Item>(sources: &mut [T], first: u32) -> Vec<Node> {
+    let node = T::node(sources, first);
     if sources.len() <= LEAF_SIZE {
         return vec![node];
     }
-    let bounds = Bounds3::around(sources.iter().map(|source| source.center));
+    let bounds = Bounds3::around(sources.iter().map(Item::center));
     let size = bounds.max - bounds.min;
     let axis = (0..3)
         .max_by(|&a, &b| size[a].total_cmp(&size[b]))
         .expect("there are three axes");
     let middle = sources.len() / 2;
-    sources.select_nth_unstable_by(middle, |a, b| a.center[axis].total_cmp(&b.center[axis]));
+    sources.select_nth_unstable_by(middle, |a, b| a.center()[axis].total_cmp(&b.center()[axis]));
     let is_large = sources.len() >= PARALLEL;
     let (low, high) = sources.split_at_mut(middle);
     let second_first = first + middle as u32;
@@ -395,34 +416,39 @@ fn build(sources: &mut [Source], first: u32) -> Vec<Node> {
     nodes
 }
 
-/// Sums over `sources`, without children.
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "sums in f64; Clusters::new asserts the count"
-)]
-fn node_of(sources: &[Source], first: u32) -> Node {
-    let power: f64 = sources.iter().map(|s| f64::from(s.power)).sum();
-    let mean = |of: &dyn Fn(&Source) -> Vec3| {
-        let sum: DVec3 = sources.iter().map(|s| of(s).as_dvec3()).sum();
-        sum.as_vec3()
-    };
-    let center = mean(&|s| s.center * s.power) / power as f32;
-    let moment = mean(&|s| s.moment);
-    let axis = moment.normalize_or(Vec3::Z);
-    let cosine = |s: &Source| (s.moment / s.power).dot(axis);
-    Node {
-        first,
-        count: sources.len() as u32,
-        second: 0,
-        center,
-        radius: (sources.iter())
-            .map(|s| s.center.distance(center) + s.radius)
-            .fold(0.0, f32::max),
-        moment,
-        axis,
-        cone: sources.iter().map(cosine).fold(1.0, f32::min),
-        power: power as f32,
-        color: mean(&|s| s.emission * (s.power / luminance(s.emission))) / power as f32,
+impl Item for Source {
+    fn center(&self) -> Vec3 {
+        self.center
+    }
+
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "sums in f64; Clusters::new asserts the count"
+    )]
+    fn node(sources: &[Self], first: u32) -> Node {
+        let power: f64 = sources.iter().map(|s| f64::from(s.power)).sum();
+        let mean = |of: &dyn Fn(&Source) -> Vec3| {
+            let sum: DVec3 = sources.iter().map(|s| of(s).as_dvec3()).sum();
+            sum.as_vec3()
+        };
+        let center = mean(&|s| s.center * s.power) / power as f32;
+        let moment = mean(&|s| s.moment);
+        let axis = moment.normalize_or(Vec3::Z);
+        let cosine = |s: &Source| (s.moment / s.power).dot(axis);
+        Node {
+            first,
+            count: sources.len() as u32,
+            second: 0,
+            center,
+            radius: (sources.iter())
+                .map(|s| s.center.distance(center) + s.radius)
+                .fold(0.0, f32::max),
+            moment,
+            axis,
+            cone: sources.iter().map(cosine).fold(1.0, f32::min),
+            power: power as f32,
+            color: mean(&|s| s.emission * (s.power / luminance(s.emission))) / power as f32,
+        }
     }
 }
 

@@ -3,14 +3,15 @@
 
 use super::clusters::Clusters;
 use super::panels::{Panel, PanelBuilder};
+use super::particles::Particles;
 use super::pattern;
 use super::sampled::SampledEmitters;
 use super::stand::Stand;
 use crate::math::Frame;
-use crate::scene::{Input, PrimId, Scene};
+use crate::scene::{Input, LightKind, ParticleSet, PrimId, Scene};
 use crate::shading::{Shader, SurfacePoint};
 use glam::{DVec3, Vec2, Vec3};
-use std::f32::consts::PI;
+use std::f32::consts::{PI, TAU};
 
 /// At most so many panels; a panel gives at least this part of all emitted power, else it is sampled with the rest.
 const MOST_PANELS: usize = 64;
@@ -43,6 +44,7 @@ pub(super) struct EmissiveTriangle {
 pub(super) struct Emitters {
     panels: Vec<Panel>,
     clusters: Clusters,
+    particles: Particles,
     sampled: SampledEmitters,
 }
 
@@ -81,18 +83,30 @@ impl Emitters {
         } else {
             PanelBuilder::new(MOST_PANELS, MOST_EDGES).build(triangles)
         };
-        let (constant, textured): (Vec<_>, Vec<_>) =
+        let (mut constant, textured): (Vec<_>, Vec<_>) =
             rest.into_iter().partition(|triangle| triangle.is_constant);
+        let particles = || {
+            shader.lights().filter_map(|light| match &light.kind {
+                LightKind::Particles(set) => Some((&**set, light.radiance)),
+                _ => None,
+            })
+        };
+        constant.extend(particles().flat_map(|(set, factor)| glowing_disks(set, factor)));
+        let spheres = particles().filter(|(set, _)| set.normal.is_empty());
         Self {
             panels,
             clusters: Clusters::new(&constant),
+            particles: Particles::new(spheres),
             sampled: SampledEmitters::new(shader.scene(), &textured),
         }
     }
 
     /// True if nothing emits.
     pub(super) fn is_empty(&self) -> bool {
-        self.panels.is_empty() && self.clusters.is_empty() && self.sampled.is_empty()
+        self.panels.is_empty()
+            && self.clusters.is_empty()
+            && self.particles.is_empty()
+            && self.sampled.is_empty()
     }
 
     /// Irradiance.
@@ -120,6 +134,9 @@ impl Emitters {
         }
         if !self.clusters.is_empty() {
             sum += self.clusters.irradiance(&stand, &patterns.squares);
+        }
+        if !self.particles.is_empty() {
+            sum += self.particles.irradiance(&stand, &patterns.squares);
         }
         if !self.sampled.is_empty() {
             sum += self.sampled.irradiance(shader, &stand, patterns.halves());
@@ -201,6 +218,32 @@ fn visible_share(
         }
     }
     if all > 0.0 { lit / all } else { 0.0 }
+}
+
+/// Particles that face somewhere, as triangles of their area.
+fn glowing_disks(set: &ParticleSet, factor: Vec3) -> impl Iterator<Item = EmissiveTriangle> {
+    let disks = set.normal.iter().zip(&set.position);
+    let disks = disks.zip(set.radius.iter().zip(&set.radiance));
+    disks.filter_map(move |((&normal, &center), (&radius, &radiance))| {
+        let area = PI * radius * radius;
+        // From the center of an equilateral triangle of this area to its corners.
+        let reach = (area * 4.0 / (3.0 * 3.0_f32.sqrt())).sqrt();
+        let frame = Frame::about(normal);
+        let corner = |turn: f32| {
+            let (sin, cos) = (turn * TAU / 3.0).sin_cos();
+            center + reach * (frame.tangent * cos + frame.bitangent * sin)
+        };
+        let emission = radiance * factor;
+        let shines = emission.max_element() > 0.0 && area > 0.0;
+        shines.then_some(EmissiveTriangle {
+            prim: PrimId(0),
+            triangle: 0,
+            corners: [corner(0.0), corner(1.0), corner(2.0)],
+            emission,
+            is_constant: true,
+            area,
+        })
+    })
 }
 
 /// All triangles that emit, in order of prims and triangles.

@@ -51,9 +51,10 @@ impl Patterns {
 }
 
 impl AreaLight {
-    /// `None` for domes and for lights that give nothing (a warning says why, except where they are simply black).
+    /// `None` for domes, for particles and for lights that give nothing (a warning says why, except where they are simply black).
     pub(super) fn new(light: &Light, diagnostics: &Diagnostics) -> Option<Self> {
-        if matches!(light.kind, LightKind::Dome { .. }) || light.radiance == Vec3::ZERO {
+        let is_elsewhere = matches!(light.kind, LightKind::Dome { .. } | LightKind::Particles(_));
+        if is_elsewhere || light.radiance == Vec3::ZERO {
             return None;
         }
         let warn = |message: &str| diagnostics.warn("degenerate-light", &light.path, message);
@@ -232,7 +233,7 @@ fn shape_of(light: &Light) -> Option<Shape> {
     let transform = &light.world_from_light;
     let scaled = |scale: Vec3| Ellipsoid::new(*transform * Affine3A::from_scale(scale));
     match &light.kind {
-        LightKind::Dome { .. } => None,
+        LightKind::Dome { .. } | LightKind::Particles(_) => None,
         LightKind::Distant { angle } => {
             let to_light = transform.transform_vector3(Vec3::Z).try_normalize()?;
             let half_angle = (0.5 * angle).clamp(0.0, std::f32::consts::PI);

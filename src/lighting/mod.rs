@@ -8,6 +8,7 @@ mod form_factor;
 mod lights;
 mod linked;
 mod panels;
+mod particles;
 mod pattern;
 mod pictures;
 mod sampled;

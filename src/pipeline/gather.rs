@@ -342,7 +342,10 @@ pub(super) fn light(
                 .map(|path| cloud::read_cloud(path, origin, diagnostics))
                 .collect::<Result<Vec<_>, _>>()
         })?;
-        return Ok(Light::Loaded(clouds));
+        // Particles shine on the stage's own surfels.
+        if clouds.iter().any(|cloud| !cloud.is_empty()) {
+            return Ok(Light::Loaded(clouds));
+        }
     }
     let settings = job.bake_settings(receivers.len());
     let baked = dice(world, &settings, (&mut *report, diagnostics))?;

@@ -22,6 +22,8 @@ pub struct StageJob {
     pub frames: Vec<f64>,
     /// A dome light in addition to the stage's own.
     pub dome: Option<Dome>,
+    /// Clouds; those of their points that are no surfels are lights of the stage. Empty where no light is computed.
+    pub emitters: Vec<PathBuf>,
     /// Sources to tell apart.
     pub light_groups: Vec<LightGroupChoice>,
     /// Population mask.

@@ -5,7 +5,7 @@ use super::{Dome, Error, StageJob};
 use crate::diagnostics::Diagnostics;
 use crate::lighting::{LightSamples, Lighting};
 use crate::results::Aov;
-use crate::scene::{Light, LightGroup, LightKind, Linked, Scene};
+use crate::scene::{Light, LightGroup, LightKind, Linked, ParticleSet, Scene};
 use crate::shading::Shader;
 use crate::stage::{self, ReadSettings, Source};
 use crate::trace::Tracer;
@@ -110,6 +110,10 @@ pub(super) fn with_world<T>(
         let mut groups = Vec::new();
         if needs.lights {
             scene.lights.extend(job.dome.as_ref().map(dome_light));
+            for path in &job.emitters {
+                let found = stage::cloud::read_particles(path, scene.origin, diagnostics)?;
+                scene.lights.extend(found.into_iter().map(particle_light));
+            }
             groups = stage::passes::light_groups((&raw, &scene), &job.light_groups, diagnostics);
         }
         Ok::<_, Error>((scene, groups))
@@ -154,6 +158,15 @@ pub(super) fn light_images(lights: &[Light]) -> impl Iterator<Item = PathBuf> {
         LightKind::Rect { texture, .. } | LightKind::Dome { texture } => texture.clone(),
         _ => None,
     })
+}
+
+/// Particles of a cloud as a light of the scene.
+fn particle_light((path, set): (String, ParticleSet)) -> Light {
+    Light {
+        path,
+        kind: LightKind::Particles(Arc::new(set)),
+        ..dome_light(&Dome::Uniform(1.0))
+    }
 }
 
 /// `--dome` as a light of the scene.

@@ -79,6 +79,21 @@ pub enum LightKind {
         /// `inputs:texture:file`, resolved; `None` = uniform.
         texture: Option<PathBuf>,
     },
+    /// Particles that glow: in world space relative to the scene's origin, whatever the light's transform.
+    Particles(Arc<ParticleSet>),
+}
+
+/// Glowing particles, columns of equal length.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ParticleSet {
+    /// Centers.
+    pub position: Vec<Vec3>,
+    /// Above 0.
+    pub radius: Vec<f32>,
+    /// Unit, of disks that shine to this side; empty: spheres.
+    pub normal: Vec<Vec3>,
+    /// Linear Rec.709, 0 or more.
+    pub radiance: Vec<Vec3>,
 }
 
 /// A light. Intensity inputs are already multiplied out.

@@ -3,20 +3,26 @@
 //!
 //! | of a surfel | read from | when missing |
 //! |---|---|---|
-//! | normal | `normals`, `primvars:normals`, `primvars:N` | the prim is left out with a warning: its surfels face nowhere |
+//! | normal | `normals`, `primvars:normals`, `primvars:N` | the points are particles |
 //! | radius | `widths` / 2 | √(area / π); an error when there is no area either |
 //! | area | `primvars:area` | π r² |
 //! | radiosity | `primvars:radiosity` | π · `primvars:displayColor`, else 0 with a warning |
 //! | albedo, emission | `primvars:albedo`, `primvars:emission` | 0: all its light is final |
 //! | source prim | `primvars:sourcePrim` and the paths in `customData` | the `Points` prim |
 //!
+//! A prim without normals, or with `primvars:emission` and no `primvars:radiosity`, holds no surfels but particles that glow
+//! ([`read_particles`]): spheres, or disks where there are normals; radius `widths` / 2, radiance `primvars:emission` / π, else
+//! `primvars:radiosity` / π, else `primvars:displayColor`.
+//!
 //! One value stands for all, whatever the interpolation says; `varying` and `vertex` are the same on points.
 
 pub(super) mod file;
+mod particles;
 mod placement;
 mod points;
 mod splats;
 
+pub use particles::read_particles;
 pub use points::read_points;
 
 use super::Error;
@@ -134,7 +140,7 @@ impl Part<'_> {
         };
         let count = position.len();
         self.check_finite("points", &position)?;
-        let Some(normal) = self.normals(count)? else {
+        let Some(normal) = self.normals(count)?.filter(|_| !self.only_glows()) else {
             return Ok(None);
         };
         let (radius, area) = self.sizes(count)?;
@@ -166,8 +172,16 @@ impl Part<'_> {
                 return Ok(Some(normals));
             }
         }
-        self.warn("its points have no normals, so they face nowhere: it is left out of the cloud");
         Ok(None)
+    }
+
+    /// True if its points are sources of light and nothing else, whether or not they face somewhere.
+    fn only_glows(&self) -> bool {
+        let has = |name: &str| {
+            let path = self.prim.append_property(name);
+            path.is_ok_and(|path| self.file.has(&path))
+        };
+        has("primvars:emission") && !has("primvars:radiosity")
     }
 
     /// Radii and areas.

@@ -280,6 +280,7 @@ fn light(light: &Light) -> LightSummary {
         LightKind::Disk { .. } => ("DiskLight", None),
         LightKind::Cylinder { .. } => ("CylinderLight", None),
         LightKind::Dome { texture } => ("DomeLight", texture.as_ref()),
+        LightKind::Particles(_) => ("Points", None),
     };
     LightSummary {
         path: light.path.clone(),

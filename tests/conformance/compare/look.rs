@@ -153,7 +153,7 @@ impl Comparison<'_> {
                 vec![*radius, *length],
                 vec![shape("radius"), shape("length")],
             ),
-            LightKind::Dome { .. } => (vec![], vec![]),
+            LightKind::Dome { .. } | LightKind::Particles(_) => (vec![], vec![]),
         };
         let wide: Vec<f64> = found.into_iter().map(f64::from).collect();
         self.numbers(&light.path, "shape", &wide, &expected);

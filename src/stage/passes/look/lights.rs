@@ -368,7 +368,7 @@ fn is_finite(light: &Light) -> bool {
         LightKind::Sphere { radius, .. } | LightKind::Disk { radius } => [*radius, 0.0],
         LightKind::Rect { width, height, .. } => [*width, *height],
         LightKind::Cylinder { radius, length } => [*radius, *length],
-        LightKind::Dome { .. } => [0.0, 0.0],
+        LightKind::Dome { .. } | LightKind::Particles(_) => [0.0, 0.0],
     };
     let shaping = light.shaping.is_none_or(|shaping| {
         shaping.focus_tint.is_finite()

@@ -1,0 +1,146 @@
+//! Particles of clouds as sources of light, end to end, against closed forms.
+
+#[allow(dead_code, reason = "every test file uses some of the helpers")]
+#[path = "support/program.rs"]
+mod program;
+
+use glam::Vec3;
+use program::{run, stage, stderr};
+use std::f32::consts::PI;
+use std::fs;
+
+/// A floor under whatever shines.
+const FLOOR: &str = r#"#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Xform "World"
+{
+    def Mesh "floor"
+    {
+        point3f[] points = [(-1, 0, 1), (1, 0, 1), (1, 0, -1), (-1, 0, -1)]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        uniform token subdivisionScheme = "none"
+    }
+    def Mesh "lid" (active = false)
+    {
+        point3f[] points = [(-9, 1, 9), (9, 1, 9), (9, 1, -9), (-9, 1, -9)]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        uniform token subdivisionScheme = "none"
+    }
+}
+"#;
+
+/// Points that hang twice as high as they say.
+fn fire(points: &str) -> String {
+    format!(
+        r#"#usda 1.0
+(
+    defaultPrim = "root"
+    upAxis = "Y"
+)
+def Xform "root"
+{{
+    double3 xformOp:translate = (0, 1, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Points "fire"
+    {{
+        {points}
+    }}
+}}
+"#
+    )
+}
+
+/// Direct light at the four points of the floor under `cloud`, and what is said of it.
+fn baked(floor: &str, cloud: &str) -> (Vec<Vec3>, String) {
+    let (folder, path) = stage(floor);
+    let file = folder.path().join("fire.usda");
+    fs::write(&file, cloud).expect("writable");
+    let out = folder.path().join("out.usda");
+    let [path, file, out_path] = [&path, &file, &out].map(|path| path.to_str().expect("UTF-8"));
+    let result = run(&[
+        "bake",
+        path,
+        "-o",
+        out_path,
+        "--cloud",
+        file,
+        "--usd",
+        "native",
+        "--aov",
+        "irradiance_direct",
+    ]);
+    assert!(result.status.success(), "{}", stderr(&result));
+    let layer = fs::read_to_string(&out).expect("a layer");
+    let name = "primvars:irradiance_direct = [";
+    let values = &layer[layer.find(name).expect("the primvar") + name.len()..];
+    let values = &values[..values.find(']').expect("an end")];
+    let numbers: Vec<f32> = (values.split([',', '(', ')']))
+        .filter_map(|word| word.trim().parse().ok())
+        .collect();
+    let colors = numbers.chunks_exact(3).map(Vec3::from_slice).collect();
+    (colors, stderr(&result))
+}
+
+const SPHERE: &str = "point3f[] points = [(0, 1, 0)]\nfloat[] widths = [0.4]\n\
+    color3f[] primvars:displayColor = [(3, 2, 1)] (interpolation = \"vertex\")";
+
+#[test]
+fn a_point_with_a_width_and_a_color_shines_like_a_sphere() {
+    let (colors, _) = baked(FLOOR, &fire(SPHERE));
+    // Radius 0.2, two above the floor, whose corners are √6 away.
+    let truth = PI * 0.04 / 6.0 * (2.0 / 6.0_f32.sqrt());
+    assert_eq!(colors.len(), 4);
+    for color in colors {
+        let error = color / (truth * Vec3::new(3.0, 2.0, 1.0)) - 1.0;
+        assert!(error.abs().max_element() < 1e-3, "{color} {truth}");
+    }
+}
+
+#[test]
+fn points_with_emission_and_normals_shine_like_disks_to_their_front() {
+    let disk = |normal: &str| {
+        fire(&format!(
+            "point3f[] points = [(0, 1, 0)]\nfloat[] widths = [0.04]\nnormal3f[] normals = [{normal}]\n\
+             color3f[] primvars:emission = [(3, 2, 1)] (interpolation = \"vertex\")"
+        ))
+    };
+    // Emission is radiosity: a πth of it is radiance.
+    let truth = 0.0004 / 6.0 * (4.0 / 6.0);
+    for color in baked(FLOOR, &disk("(0, -1, 0)")).0 {
+        let error = color / (truth * Vec3::new(3.0, 2.0, 1.0)) - 1.0;
+        assert!(error.abs().max_element() < 1e-3, "{color} {truth}");
+    }
+    for color in baked(FLOOR, &disk("(0, 1, 0)")).0 {
+        assert_eq!(color, Vec3::ZERO);
+    }
+}
+
+#[test]
+fn surfaces_hide_particles() {
+    let lid = FLOOR.replace(" (active = false)", "");
+    let (colors, _) = baked(&lid, &fire(SPHERE));
+    assert!(
+        colors.iter().all(|color| *color == Vec3::ZERO),
+        "{colors:?}"
+    );
+}
+
+#[test]
+fn black_negative_and_flat_points_give_nothing_and_a_warning() {
+    for points in [
+        SPHERE.replace("[0.4]", "[0]"),
+        SPHERE.replace("(3, 2, 1)", "(0, 0, 0)"),
+        SPHERE.replace("(3, 2, 1)", "(-3, 0, 0)"),
+        "point3f[] points = []".to_owned(),
+    ] {
+        let (colors, said) = baked(FLOOR, &fire(&points));
+        assert!(colors.iter().all(|color| *color == Vec3::ZERO), "{points}");
+        assert!(said.contains("fire"), "{said}");
+    }
+}
