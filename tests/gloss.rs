@@ -56,32 +56,45 @@ const MIRROR: &str = "color3f inputs:diffuseColor = (0.9, 0.7, 0.5)\nfloat input
 
 /// What a bake of `text` seen from `view` finds at the four points of the floor.
 fn baked(text: &str, view: &str) -> Vec<Vec3> {
+    values(text, "specular_indirect", &["--view", view])
+}
+
+/// Colors of `aov` at the four points of the floor; alpha left out.
+fn values(text: &str, aov: &str, flags: &[&str]) -> Vec<Vec3> {
     let (folder, path) = stage(text);
     let out = folder.path().join("out.usda");
-    let result = run(&[
-        "bake",
-        path.to_str().expect("UTF-8"),
-        "-o",
-        out.to_str().expect("UTF-8"),
-        "--usd",
-        "native",
-        "--aov",
-        "specular_indirect",
-        "--view",
-        view,
-        "--mask",
-        "/World/floor,/World/wall,/World/sky,/World/Look,/World/cam",
-    ]);
+    let mut args = vec!["bake", path.to_str().expect("UTF-8"), "--usd", "native"];
+    args.extend(["-o", out.to_str().expect("UTF-8"), "--aov", aov, "--mask"]);
+    args.push("/World/floor,/World/wall,/World/sky,/World/Look,/World/cam");
+    args.extend(flags);
+    let result = run(&args);
     assert!(result.status.success(), "{}", stderr(&result));
     let layer = fs::read_to_string(out).expect("a layer");
     let over = &layer[layer.find("\"floor\"").expect("the floor")..];
-    let name = "primvars:specular_indirect = [";
-    let values = &over[over.find(name).expect("the primvar") + name.len()..];
+    let name = format!("primvars:{aov} = [");
+    let values = &over[over.find(&name).expect("the primvar") + name.len()..];
     let values = &values[..values.find(']').expect("an end")];
     let numbers: Vec<f32> = (values.split([',', '(', ')']))
         .filter_map(|word| word.trim().parse().ok())
         .collect();
-    numbers.chunks_exact(3).map(Vec3::from_slice).collect()
+    (numbers.chunks_exact(numbers.len() / 4))
+        .map(Vec3::from_slice)
+        .collect()
+}
+
+#[test]
+fn color_is_what_leaves_towards_the_eye_and_diffuse_where_there_is_none() {
+    let look =
+        "color3f inputs:diffuseColor = (0.2, 0.4, 0.6)\ncolor3f inputs:emissiveColor = (0.1, 0, 0)";
+    let text = floor(look, SKY);
+    for view in ["0,-1,0", "0.8660254,-0.5,0"] {
+        let of = |aov| values(&text, aov, &["--view", view])[2];
+        let parts = of("emission") + of("diffuse_direct") + of("diffuse_indirect");
+        let gloss = of("specular_indirect");
+        assert!(gloss.min_element() > 0.02, "{gloss}");
+        assert!(of("color").abs_diff_eq(parts + gloss, 1e-6), "{view}");
+        assert!(values(&text, "color", &[])[2].abs_diff_eq(parts, 1e-6));
+    }
 }
 
 #[test]

@@ -33,11 +33,15 @@ pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Er
     record(&job.gather, &job.gather.aovs, &mut report);
     let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
     source.expect_loads(job.stage.times().len());
+    let needs = match job.view {
+        Some(_) => Needs::of_seen(&job.gather.aovs),
+        None => Needs::of(&job.gather.aovs),
+    };
     let mut writer: Option<LayerWriter> = None;
     for time in job.stage.times() {
         with_world(
             source.as_mut(),
-            (&job.stage, time, Needs::of(&job.gather.aovs)),
+            (&job.stage, time, needs),
             &mut report,
             diagnostics,
             |world, report| {

@@ -115,8 +115,46 @@ pub(super) fn relight<'a>(
     HitLight::new(world.shader, &world.tracer, lighting, &baked.dice)
 }
 
-/// Compute `aovs` at `receivers`: kinds of occlusion, and gloss, each by rays of their own, all others by one gather.
+/// Compute `aovs` at `receivers`. Where they are looked at from somewhere, `color` holds what they reflect glossily too.
 pub(super) fn gather(
+    world: &World<'_>,
+    receivers: &Receivers,
+    aovs: &[Aov],
+    job: &GatherJob,
+    run: (&mut Report, &Diagnostics),
+) -> Result<Results, Error> {
+    if !aovs.contains(&Aov::Color) || receivers.toward_eye.is_empty() {
+        return gather_each(world, receivers, aovs, job, run);
+    }
+    let mut all = aovs.to_vec();
+    if !all.contains(&Aov::SpecularIndirect) {
+        all.push(Aov::SpecularIndirect);
+    }
+    let mut results = gather_each(world, receivers, &all, job, run)?;
+    add_gloss(&mut results);
+    results.buffers.retain(|buffer| aovs.contains(&buffer.aov));
+    Ok(results)
+}
+
+/// Add `specular_indirect` to `color`.
+fn add_gloss(results: &mut Results) {
+    let Some(gloss) = results.get(Aov::SpecularIndirect) else {
+        return;
+    };
+    let gloss = gloss.data.clone();
+    let colors = (results.buffers.iter_mut()).filter(|buffer| buffer.aov == Aov::Color);
+    for color in colors {
+        let colors = color.data.chunks_exact_mut(Aov::Color.components());
+        for (color, gloss) in colors.zip(gloss.as_chunks::<3>().0) {
+            for (sum, more) in color.iter_mut().zip(gloss) {
+                *sum += more;
+            }
+        }
+    }
+}
+
+/// Compute `aovs` at `receivers`: kinds of occlusion, and gloss, each by rays of their own, all others by one gather.
+fn gather_each(
     world: &World<'_>,
     receivers: &Receivers,
     aovs: &[Aov],

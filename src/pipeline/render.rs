@@ -38,7 +38,7 @@ pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, 
     let needs = if job.gather.aovs.is_empty() {
         Needs::ALL
     } else {
-        Needs::of(&job.gather.aovs)
+        Needs::of_seen(&job.gather.aovs)
     };
     for time in times {
         with_world(

@@ -32,6 +32,15 @@ impl Needs {
         gloss: true,
     };
 
+    /// The same where receivers are looked at: `color` holds what they reflect glossily.
+    pub(super) fn of_seen(aovs: &[Aov]) -> Self {
+        let needs = Self::of(aovs);
+        Self {
+            gloss: needs.gloss || aovs.contains(&Aov::Color),
+            ..needs
+        }
+    }
+
     /// What `aovs` need: occlusion reads neither materials nor lights.
     pub(super) fn of(aovs: &[Aov]) -> Self {
         let light = aovs

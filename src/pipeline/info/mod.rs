@@ -182,7 +182,8 @@ pub fn info(job: &InfoJob, diagnostics: &Diagnostics) -> Result<StageSummary, Er
 /// What the job asked about reads; without one, everything.
 fn needs(job: &InfoJob) -> Needs {
     match &job.wanted {
-        Some(Purposed::Bake(aovs) | Purposed::Render(aovs)) => Needs::of(aovs),
+        Some(Purposed::Bake(aovs)) => Needs::of(aovs),
+        Some(Purposed::Render(aovs)) => Needs::of_seen(aovs),
         Some(Purposed::Points) | None => Needs::ALL,
     }
 }
