@@ -272,7 +272,7 @@ pub(super) struct GatherArgs {
     /// radiosity, as particles that light the stage. Many times.
     #[arg(long, alias = "sources", value_name = "CLOUD")]
     pub(super) cloud: Vec<PathBuf>,
-    /// Write what each cloud adds to irradiance_indirect and diffuse_indirect, called by its file, besides their sum.
+    /// Write what each cloud adds to `irradiance_indirect` and `diffuse_indirect`, called by its file, besides their sum.
     #[arg(long, requires = "cloud")]
     pub(super) split_clouds: bool,
 }

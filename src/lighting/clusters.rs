@@ -427,14 +427,14 @@ impl Item for Source {
     )]
     fn node(sources: &[Self], first: u32) -> Node {
         let power: f64 = sources.iter().map(|s| f64::from(s.power)).sum();
-        let mean = |of: &dyn Fn(&Source) -> Vec3| {
+        let mean = |of: &dyn Fn(&Self) -> Vec3| {
             let sum: DVec3 = sources.iter().map(|s| of(s).as_dvec3()).sum();
             sum.as_vec3()
         };
         let center = mean(&|s| s.center * s.power) / power as f32;
         let moment = mean(&|s| s.moment);
         let axis = moment.normalize_or(Vec3::Z);
-        let cosine = |s: &Source| (s.moment / s.power).dot(axis);
+        let cosine = |s: &Self| (s.moment / s.power).dot(axis);
         Node {
             first,
             count: sources.len() as u32,

@@ -3,6 +3,9 @@
 use super::{PrimId, Scene};
 use std::sync::Arc;
 
+/// Name of a group, and whether a source with a stage path belongs to it.
+pub type GroupRule<'a> = (Arc<str>, &'a dyn Fn(&str) -> bool);
+
 /// Lights and emissive prims of a scene that belong together; every source is in one group of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LightGroup {
@@ -23,9 +26,9 @@ impl LightGroup {
         self.prims.get(prim.index()).copied().unwrap_or(false)
     }
 
-    /// The sources of `scene` shared out: each goes to the first of `groups` (name, and whether a source with a stage path
-    /// belongs to it) that wants it, the rest to one called [`Self::DEFAULT`], which comes last.
-    pub fn partition(scene: &Scene, groups: &[(Arc<str>, &dyn Fn(&str) -> bool)]) -> Vec<Self> {
+    /// The sources of `scene` shared out: each goes to the first of `groups` that wants it, the rest to one called
+    /// [`Self::DEFAULT`], which comes last.
+    pub fn partition(scene: &Scene, groups: &[GroupRule<'_>]) -> Vec<Self> {
         let place = |path: &str| {
             let found = groups.iter().position(|(_, wants)| wants(path));
             found.unwrap_or(groups.len())

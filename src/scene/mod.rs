@@ -15,7 +15,7 @@ pub mod render_product;
 
 pub use camera::Camera;
 pub use light::{Light, LightKind, Linked, ParticleSet, Shaping};
-pub use light_group::LightGroup;
+pub use light_group::{GroupRule, LightGroup};
 pub use material::{ColorSpace, Input, Material, MaterialId, TextureRead, Wrap};
 pub use mesh::{Cage, Interpolation, Mesh, MeshId, Normals, Primvar};
 pub use placed::{PlacedMesh, on_the_side_of};

@@ -6,9 +6,8 @@ use super::super::flatten;
 use super::collections::{self, Membership, collection_name};
 use super::paths::Paths;
 use crate::diagnostics::Diagnostics;
-use crate::scene::{LightGroup, Scene};
+use crate::scene::{GroupRule, LightGroup, Scene};
 use std::str::FromStr;
-use std::sync::Arc;
 
 /// A light group as asked for: `NAME` is the collection of that name, on whatever prim; `NAME=PATH,…` what is at or below
 /// these paths (`--dome` for the dome of the command line) and in these collections (`/PRIM.collection:NAME`).
@@ -89,7 +88,7 @@ pub fn light_groups(
     let wants: Vec<_> = (members.iter())
         .map(|members| |path: &str| members.contains(path))
         .collect();
-    let named: Vec<(Arc<str>, &dyn Fn(&str) -> bool)> = (choices.iter().zip(&wants))
+    let named: Vec<GroupRule<'_>> = (choices.iter().zip(&wants))
         .map(|(choice, wants)| (choice.name.as_str().into(), wants as _))
         .collect();
     let groups = LightGroup::partition(scene, &named);
