@@ -196,6 +196,15 @@ fn clouds_are_told_apart_by_their_files() {
     let split = ["--cloud", &one, "--sources", &two, "--split-clouds"];
     let all = baked(ROOM, &[&split[..], &aov].concat());
     let alone = baked(ROOM, &[&["--cloud", &two][..], &aov].concat());
+    let out = path("out.usda");
+    let grouped = ["bake", ROOM, "-o", &out, "--usd", "native", "--cloud", &one];
+    let refused = run(&[&grouped[..], &aov, &["--light-groups", "a=/Room"]].concat());
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(
+        stderr(&refused).contains("key.usdc"),
+        "{}",
+        stderr(&refused)
+    );
     assert_eq!(
         all["irradiance_indirect_fill_light"],
         alone["irradiance_indirect"]

@@ -146,10 +146,6 @@ pub(super) struct StageArgs {
     /// Add a dome light: its radiance (1 = white), or a latlong .exr or .hdr image.
     #[arg(long, value_name = "RADIANCE|FILE")]
     pub(super) dome: Option<String>,
-    /// Tell the light of these sources apart: a collection's name, or NAME=PATHS; many times. `irradiance` is then written as
-    /// `irradiance_NAME` too, the sources of no group as `irradiance_default`.
-    #[arg(long, alias = "lightGroups", value_name = "NAME[=PATH,…]")]
-    pub(super) light_groups: Vec<String>,
     /// Only these prims, what is below and what is above them.
     #[arg(long, value_name = "PATHS", value_delimiter = ',')]
     pub(super) mask: Vec<String>,
@@ -268,6 +264,10 @@ pub(super) struct GatherArgs {
     /// Half-angle of the cone that these ask about, degrees. Default: 90, and 20 for reflections. By rays.
     #[arg(long, alias = "coneangle", value_name = "DEGREES", value_parser = cone_angle)]
     pub(super) cone_angle: Option<f32>,
+    /// Tell the light of these sources apart: a collection's name, or NAME=PATHS; many times. `irradiance` is then written as
+    /// `irradiance_NAME` too, the sources of no group as `irradiance_default`.
+    #[arg(long, alias = "lightGroups", value_name = "NAME[=PATH,…]")]
+    pub(super) light_groups: Vec<String>,
     /// Clouds (UsdGeomPoints) that shine: surfels instead of the stage's own; points without normals, or with emission and no
     /// radiosity, as particles that light the stage. Many times.
     #[arg(long, alias = "sources", value_name = "CLOUD")]

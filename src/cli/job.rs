@@ -62,7 +62,7 @@ fn stage(args: StageArgs, command_line: &[String]) -> anyhow::Result<StageJob> {
         frames: args.frames.map(|frames| frames.0).unwrap_or_default(),
         dome: args.dome.map(dome).transpose()?,
         emitters: Vec::new(),
-        light_groups: light_groups(&args.light_groups)?,
+        light_groups: Vec::new(),
         mask: args.mask,
         composition: Composition {
             load: match args.load {
@@ -78,14 +78,15 @@ fn stage(args: StageArgs, command_line: &[String]) -> anyhow::Result<StageJob> {
     })
 }
 
-/// The stage with the particles of the clouds that `gather` has.
+/// The stage with what `gather` says of light: groups, and particles of clouds.
 fn lit_stage(
     args: StageArgs,
-    gather: &GatherJob,
+    gather: &GatherArgs,
     command_line: &[String],
 ) -> anyhow::Result<StageJob> {
     Ok(StageJob {
-        emitters: gather.clouds.clone(),
+        emitters: gather.cloud.clone(),
+        light_groups: light_groups(&gather.light_groups)?,
         ..stage(args, command_line)?
     })
 }
@@ -282,6 +283,7 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
         .output
         .as_ref()
         .context("bake needs --output DIR/NAME.usdc")?;
+    let stage = lit_stage(args.stage, &args.gather, command_line)?;
     let mut gather = gather(args.gather, args.surfels)?;
     if gather.aovs.is_empty() {
         gather.aovs = BAKED.to_vec();
@@ -305,7 +307,7 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
         );
     }
     Ok(BakeJob {
-        stage: lit_stage(args.stage, &gather, command_line)?,
+        stage,
         output: output(args.output, USD_EXTENSIONS)?,
         gather,
         interpolation: match args.interpolation {
@@ -338,9 +340,10 @@ fn bake_view(text: &str) -> anyhow::Result<BakeView> {
 }
 
 fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob> {
+    let stage = lit_stage(args.stage, &args.gather, command_line)?;
     let gather = gather(args.gather, args.surfels)?;
     let job = RenderJob {
-        stage: lit_stage(args.stage, &gather, command_line)?,
+        stage,
         output: output(args.output, &["exr"])?,
         gather,
         camera: args.camera,

@@ -10,6 +10,7 @@ use super::world::World;
 use crate::diagnostics::Diagnostics;
 use crate::receivers::Receivers;
 use crate::results::{Aov, AovBuffer, GroupResults, Results};
+use crate::stage::cloud;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -64,6 +65,7 @@ fn groups(
     job: &GatherJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Vec<GroupResults>, Error> {
+    refuse_surfels(world, job)?;
     let mut all = Vec::new();
     for group in world.groups {
         let shader = world.shader.of_group(group);
@@ -79,6 +81,18 @@ fn groups(
         });
     }
     Ok(all)
+}
+
+/// Particles of clouds are sources like others; the light of surfels cannot be told apart.
+fn refuse_surfels(world: &World<'_>, job: &GatherJob) -> Result<(), Error> {
+    // What is wrong with a cloud is told where it is read to be used.
+    let quiet = Diagnostics::default();
+    for path in &job.clouds {
+        if !cloud::read_cloud(path, world.scene().origin, &quiet)?.is_empty() {
+            return Err(Error::GroupsOfCloud { path: path.clone() });
+        }
+    }
+    Ok(())
 }
 
 /// `aovs` for each cloud, which is called by the name of its file.

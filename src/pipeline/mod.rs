@@ -76,6 +76,12 @@ pub enum Error {
         /// The stage.
         path: PathBuf,
     },
+    /// Light groups and a cloud with surfels.
+    #[error("--light-groups: {} holds surfels, whose light is of all groups together (use --split-clouds with a cloud for each group)", path.display())]
+    GroupsOfCloud {
+        /// The cloud.
+        path: PathBuf,
+    },
     /// An output exists and `--no-clobber` was given.
     #[error("{} exists already, and --no-clobber was given", path.display())]
     Exists {
