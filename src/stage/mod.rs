@@ -1,6 +1,7 @@
 //! USD → [`crate::scene::Scene`]: two doors (native `openusd`; a worker process with Pixar's usd-core) behind one
 //! [`raw::RawStage`] of composed prims and resolved values, then the same passes for both.
 
+pub mod attributes;
 pub mod cloud;
 mod composition;
 pub mod materialx;
