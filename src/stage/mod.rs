@@ -209,7 +209,8 @@ pub fn compose(
         true => materialx::graft(raw, diagnostics),
         false => raw,
     };
-    Ok(passes::skinning::pose(raw, diagnostics))
+    let raw = passes::skinning::pose(raw, diagnostics);
+    Ok(passes::hermite::as_bezier(raw, diagnostics))
 }
 
 /// Peak resident memory, bytes, of the process `id` (`self` = this one) where `/proc` tells.

@@ -41,7 +41,7 @@ const SKELETAL: [&str; 14] = [
 ];
 
 /// Attributes of geometry, cameras and render settings, which every job needs.
-const ALWAYS: [&str; 80] = [
+const ALWAYS: [&str; 81] = [
     // Imageable, Xformable
     "visibility",
     "purpose",
@@ -66,7 +66,8 @@ const ALWAYS: [&str; 80] = [
     "creaseLengths",
     "creaseSharpnesses",
     "primvars:normals",
-    // BasisCurves, NurbsPatch
+    // BasisCurves, HermiteCurves, NurbsPatch
+    "tangents",
     "curveVertexCounts",
     "widths",
     "primvars:widths",
