@@ -15,13 +15,13 @@ const COUNT: usize = 150;
 fn write_shot(folder: &Path) -> PathBuf {
     let mut shot = "#usda 1.0\n".to_owned();
     for i in 0..COUNT {
-        let leaf = format!("#usda 1.0\ndef \"L\" {{ int number = {i} }}\n");
+        let leaf = format!("#usda 1.0\ndef \"L\" {{\nint number = {i}\n}}\n");
         fs::write(folder.join(format!("leaf{i}.usda")), leaf).expect("a file");
         let part = format!(
-            "#usda 1.0\ndef \"P\" (variants = {{ string v = \"a\" }}\nprepend variantSets = \"v\") {{\n\
+            "#usda 1.0\ndef \"P\" (variants = {{\nstring v = \"a\"\n}}\nprepend variantSets = \"v\") {{\n\
              def \"below\" (references = @./leaf{i}.usda@</L>) {{}}\n\
-             variantSet \"v\" = {{ \"a\" {{ over \"below\" {{ int chosen = {i} }} }} \
-             \"b\" (references = @./unused.usda@</L>) {{}} }}\n}}\n"
+             variantSet \"v\" = {{\n\"a\" {{\nover \"below\" {{\nint chosen = {i}\n}}\n}}\n\
+             \"b\" (references = @./unused.usda@</L>) {{\n}}\n}}\n}}\n"
         );
         fs::write(folder.join(format!("part{i}.usda")), part).expect("a file");
         let arc = if i % 3 == 0 { "payload" } else { "references" };
@@ -33,12 +33,12 @@ fn write_shot(folder: &Path) -> PathBuf {
         let asset = if i == 77 { 1000 } else { i };
         writeln!(
             shot,
-            "def \"G{i}\" {{\ndef \"one\" ({head}\n{arc} = @./part{asset}.usda@</P>) {{}} }}"
+            "def \"G{i}\" {{\ndef \"one\" ({head}\n{arc} = @./part{asset}.usda@</P>) {{}}\n}}"
         )
         .expect("text");
     }
-    shot += "def \"off\" (active = false) {\ndef \"x\" (references = @./unused.usda@</L>) {} }\n\
-             over \"undefined\" {\ndef \"x\" (references = @./unused.usda@</L>) {} }\n";
+    shot += "def \"off\" (active = false) {\ndef \"x\" (references = @./unused.usda@</L>) {}\n}\n\
+             over \"undefined\" {\ndef \"x\" (references = @./unused.usda@</L>) {}\n}\n";
     fs::write(folder.join("unused.usda"), "#usda 1.0\ndef \"L\" {}\n").expect("a file");
     let path = folder.join("shot.usda");
     fs::write(&path, shot).expect("a file");
