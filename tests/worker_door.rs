@@ -138,7 +138,10 @@ fn single_values_of_every_type_arrive_as_authored() {
     is("v", Value::Vec3(DVec3::new(0.1, 2.0, 3.0)));
     is("v2", Value::Vec2(DVec2::new(1.0, 2.0)));
     is("q", Value::Quat(DQuat::from_xyzw(2.0, 3.0, 4.0, 1.0)));
-    is("m", Value::Matrix(DMat4::from_cols_array(&counting())));
+    is(
+        "m",
+        Value::Matrix(Box::new(DMat4::from_cols_array(&counting()))),
+    );
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! USD → [`crate::scene::Scene`]: two doors (native `openusd`; a worker process with Pixar's usd-core) behind one
 //! [`raw::RawStage`] of composed prims and resolved values, then the same passes for both.
 
+pub mod attributes;
 pub mod cloud;
 mod composition;
 pub mod materialx;
@@ -209,7 +210,8 @@ pub fn compose(
         true => materialx::graft(raw, diagnostics),
         false => raw,
     };
-    Ok(passes::skinning::pose(raw, diagnostics))
+    let raw = passes::skinning::pose(raw, diagnostics);
+    Ok(passes::hermite::as_bezier(raw, diagnostics))
 }
 
 /// Peak resident memory, bytes, of the process `id` (`self` = this one) where `/proc` tells.

@@ -1,6 +1,7 @@
 //! What both doors deliver: composed prims with authored, value-resolved attributes. No schema knowledge here:
 //! fallbacks, inheritance and meaning are the passes' business, once for both doors.
 
+use super::attributes::Attributes;
 use super::{Composition, ReadSettings};
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
 use std::collections::BTreeMap;
@@ -40,7 +41,7 @@ const SKELETAL: [&str; 14] = [
 ];
 
 /// Attributes of geometry, cameras and render settings, which every job needs.
-const ALWAYS: [&str; 80] = [
+const ALWAYS: [&str; 81] = [
     // Imageable, Xformable
     "visibility",
     "purpose",
@@ -65,7 +66,8 @@ const ALWAYS: [&str; 80] = [
     "creaseLengths",
     "creaseSharpnesses",
     "primvars:normals",
-    // BasisCurves, NurbsPatch
+    // BasisCurves, HermiteCurves, NurbsPatch
+    "tangents",
     "curveVertexCounts",
     "widths",
     "primvars:widths",
@@ -249,6 +251,16 @@ pub struct ReadCounts {
     pub bytes: usize,
 }
 
+impl ReadCounts {
+    /// Count an attribute that has `value`.
+    pub fn add(&mut self, value: Option<&Value>) {
+        if let Some(value) = value {
+            self.attributes += 1;
+            self.bytes += value.bytes();
+        }
+    }
+}
+
 /// A composed stage: active, loaded, defined, non-abstract prims in depth-first order, parents before children.
 /// Prims below native instances appear once, below their prototype.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -284,7 +296,7 @@ pub struct RawPrim {
     /// `kind` metadata.
     pub kind: Option<String>,
     /// Authored attributes that the request wants, by full name (`primvars:st`, `primvars:st:indices`, `xformOp:translate`).
-    pub attributes: BTreeMap<String, RawAttribute>,
+    pub attributes: Attributes,
     /// Authored relationships by name with composed, absolute targets (mapped to stage paths; below prototypes:
     /// into the prototype where the target is inside it).
     pub relationships: BTreeMap<String, RawRelationship>,
@@ -335,7 +347,7 @@ pub struct RawAttribute {
     pub varying: bool,
     /// Of what [`MOVED`] lists, on a PointInstancer that moves so: the last sample up to the requested time, or the
     /// first of all.
-    pub held: Option<Sample>,
+    pub held: Option<Box<Sample>>,
 }
 
 /// A time sample.
@@ -375,7 +387,7 @@ pub enum Value {
     /// Any quaternion.
     Quat(DQuat),
     /// matrix4d, **column vectors convention** (USD's row-vector matrix transposed).
-    Matrix(DMat4),
+    Matrix(Box<DMat4>),
     /// bool[], uchar[], int[], uint[].
     IntArray(Vec<i32>),
     /// int64[], uint64[].

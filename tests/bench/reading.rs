@@ -6,11 +6,12 @@
 //!
 //! On two busy cores, dev profile (opt-level 2), medians of five rounds: of 10 M points natively 0.71 and through the
 //! worker 1.07 of usd-core's 0.79 s, with 1.46 and 1.02 times the arrays in memory (the worker's own process: 1.41);
-//! natively the crate's copy of the file is 0.38 of that. Of 4000 layers 1.78 times its open and walk.
+//! natively the crate's copy of the file is 0.38 of that. Of 4000 layers 1.78 times its open and walk through the worker;
+//! natively 0.65 s, where opening them one by one took 15.
 //!
 //! Single runs: 100 000 points of an instancer in 0.1 s natively and 0.4 s through the worker; 100 000 native instances,
-//! each a prim, in 2.4 s and 9.7 s, where usd-core's open and walk take 3.2. The crate's stage and its copy of the layer
-//! hold 0.7 GB then; what is kept is 144 bytes an instance and its path.
+//! each a prim, in 1.64 s (median of three) and 9.7 s, where usd-core's open and walk take 3.2. The crate parses the root
+//! layer twice, which is 0.5 s of that. At the peak 0.3 GB are in use; what is kept is 144 bytes an instance and its path.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measured")]
 
@@ -133,7 +134,7 @@ fn main() {
         "4000 referenced layers",
         &stage("shot.usda"),
         ("compose", "walk"),
-        &["usd-core"],
+        &["native", "usd-core"],
     );
     for name in ["few", "native", "points"] {
         let title = format!("instances: {name}");

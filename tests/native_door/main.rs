@@ -9,6 +9,8 @@
 mod compare;
 mod damaged;
 mod features;
+mod frames;
+mod layers;
 mod values;
 
 #[path = "../support/python.rs"]

@@ -101,7 +101,9 @@ fn added(
             let material = prims.remove(0);
             prim.type_name = material.type_name;
             for (name, attribute) in material.attributes {
-                prim.attributes.entry(name).or_insert(attribute);
+                if !prim.attributes.contains_key(&name) {
+                    prim.attributes.insert(name, attribute);
+                }
             }
             Ok(prims)
         }

@@ -197,7 +197,7 @@ fn tuple(from: &sdf::Value) -> Option<Value> {
             q.w.into(),
         )),
         V::Quatd(q) => Value::Quat(DQuat::from_xyzw(q.x, q.y, q.z, q.w)),
-        V::Matrix4d(m) => Value::Matrix(matrix(m)),
+        V::Matrix4d(m) => Value::Matrix(Box::new(matrix(m))),
         _ => return None,
     })
 }

@@ -88,7 +88,7 @@ fn mix(low: Value, high: &Value, alpha: f64, precision: Precision) -> Value {
             one(a.w, b.w),
         )),
         (Value::Quat(a), Value::Quat(b)) => Value::Quat(slerp(*a, *b, (alpha, precision))),
-        (Value::Matrix(a), Value::Matrix(b)) => Value::Matrix(mix_matrix(a, b, alpha)),
+        (Value::Matrix(a), Value::Matrix(b)) => Value::Matrix(Box::new(mix_matrix(a, b, alpha))),
         (Value::FloatArray(a), Value::FloatArray(b)) if a.len() == b.len() => {
             Value::FloatArray(zip(a, b, |a, b| two(*a, *b)))
         }

@@ -4,18 +4,21 @@
 //! crate lets time samples of a weak layer win over the default of a strong one. What the crate reads wrongly without
 //! saying so is repaired (`text`) or refused; what it cannot read is an error that names the layer.
 
+mod ahead;
 mod class_cycles;
 mod complaints;
 mod convert;
 mod crate_check;
 mod crate_values;
 mod interpolate;
+mod kept;
 mod layer_files;
 mod package;
 mod properties;
 mod session;
 mod text;
 mod traverse;
+mod twin_keys;
 mod twins;
 
 use super::raw::{RawStage, Request};
@@ -42,11 +45,15 @@ pub(super) const STACK_BYTES: usize = 1 << 30;
 pub struct NativeSource {
     path: PathBuf,
     jobs: Sender<Job>,
+    /// Several loads will come that differ in time only.
+    keeps: bool,
 }
 
 /// One order to the thread that holds the stage; `request` is `None` for "open it".
 struct Job {
     request: Option<Request>,
+    /// What does not vary with time is kept for further loads.
+    keeps: bool,
     cancel: CancelToken,
     reply: Sender<Outcome>,
 }
@@ -77,6 +84,7 @@ impl NativeSource {
         let source = Self {
             path: path.to_owned(),
             jobs,
+            keeps: false,
         };
         source.order(None, CancelToken::default())?;
         Ok(source)
@@ -86,6 +94,7 @@ impl NativeSource {
         let (reply, answer) = mpsc::channel();
         let job = Job {
             request,
+            keeps: self.keeps,
             cancel,
             reply,
         };
@@ -111,6 +120,10 @@ impl Source for NativeSource {
     fn name(&self) -> &'static str {
         "native"
     }
+
+    fn expect_loads(&mut self, count: usize) {
+        self.keeps = count > 1;
+    }
 }
 
 /// What the crate can be trusted with of a layer's `bytes`: its text, repaired; `None` if it is binary and sound.
@@ -131,7 +144,7 @@ fn serve(root: &Path, orders: &Receiver<Job>) {
     while let Ok(job) = orders.recv() {
         let outcome = match &job.request {
             None => session.open().map(|()| (RawStage::default(), Vec::new())),
-            Some(request) => session.load(request, &job.cancel),
+            Some(request) => session.load(request, job.keeps, &job.cancel),
         };
         // a dropped receiver means the asker is gone: nobody is left to tell
         let _ = job.reply.send(outcome);

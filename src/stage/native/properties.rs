@@ -311,6 +311,7 @@ impl<'a> Properties<'a> {
                 }
             }
         }
+        prim.attributes.shrink_to_fit();
         self.targets(path, sites, &connected, prim)
     }
 
@@ -400,7 +401,7 @@ impl<'a> Properties<'a> {
     }
 
     /// What the samples hold at the time; `None` where a default decides, or the default time is asked for.
-    fn held(&self, specs: &Specs<'_>, type_name: &str) -> Result<Option<Sample>, Fault> {
+    fn held(&self, specs: &Specs<'_>, type_name: &str) -> Result<Option<Box<Sample>>, Fault> {
         let Some(time) = self.request.time else {
             return Ok(None);
         };
@@ -415,10 +416,11 @@ impl<'a> Properties<'a> {
                 };
                 let offset = &opinions.site.offset;
                 let held = samples.held(offset.inverse().apply(time));
-                return Ok(held.map(|(time, value)| Sample {
+                let sample = held.map(|(time, value)| Sample {
                     time: offset.apply(time),
                     value,
-                }));
+                });
+                return Ok(sample.map(Box::new));
             }
             if opinions.data().has_field(at, FieldKey::Default.as_str()) {
                 break;

@@ -1,6 +1,8 @@
 //! The stage kept open between loads: one per population mask and composition, reopened when these change.
 
+use super::ahead::ASKING_PRIM;
 use super::complaints;
+use super::kept::Kept;
 use super::layer_files::{EMPTY_SESSION, LayerFiles, SharedFiles};
 use super::properties::Sites;
 use super::traverse::Traversal;
@@ -29,6 +31,7 @@ struct Open {
     mask: Vec<String>,
     composition: Composition,
     stage: Stage,
+    kept: Option<Kept>,
 }
 
 impl Session {
@@ -59,23 +62,31 @@ impl Session {
         })
     }
 
-    /// Compose, traverse and read everything `request` asks for.
+    /// Compose, traverse and read everything `request` asks for, or what of it an earlier load has not `kept`.
     ///
     /// # Errors
     /// See [`crate::stage::Source::load`].
-    pub(super) fn load(&mut self, request: &Request, cancel: &CancelToken) -> Outcome {
+    pub(super) fn load(&mut self, request: &Request, keeps: bool, cancel: &CancelToken) -> Outcome {
         self.guarded(|session| {
             let stage = session.stage(&request.mask, &request.composition)?;
+            let kept = session.open.as_ref().and_then(|open| open.kept.as_ref());
+            if let Some(kept) = kept.filter(|kept| kept.serves(request)) {
+                return kept.at((&stage, &session.files), request, cancel);
+            }
             let traversal = || Traversal::new(&stage, &session.files, request, cancel);
-            let (mut raw, mut warnings) = traversal().run(&session.root)?;
+            let mut walked = traversal().run(&session.root)?;
             let mut errors = stage.composition_errors();
-            if !errors.is_empty() && shares_prototypes(&raw) {
-                (raw, warnings) = traversal().without_twins().run(&session.root)?;
+            if !errors.is_empty() && shares_prototypes(&walked.raw) {
+                walked = traversal().without_twins().run(&session.root)?;
                 errors = stage.composition_errors();
             }
-            warnings.extend(session.judge_choices(&stage, &request.composition.variants)?);
-            warnings.extend(session.judge(&errors)?);
-            Ok((raw, warnings))
+            let choices = session.judge_choices(&stage, &request.composition.variants)?;
+            walked.warnings.extend(choices);
+            walked.warnings.extend(session.judge(&errors)?);
+            if let Some(open) = session.open.as_mut().filter(|_| keeps) {
+                open.kept = Kept::new(request, &walked);
+            }
+            Ok((walked.raw, walked.warnings))
         })
     }
 
@@ -101,6 +112,7 @@ impl Session {
             mask: mask.to_vec(),
             composition: composition.clone(),
             stage: stage.clone(),
+            kept: None,
         });
         Ok(stage)
     }
@@ -130,7 +142,8 @@ impl Session {
                 return Err(self.refused(&format!("there is no session layer {session}")));
             }
             builder = builder.session_layer(session);
-        } else if !composition.variants.is_empty() {
+        } else {
+            // to write variant choices and questions into
             builder = builder.session_layer(EMPTY_SESSION);
         }
         Ok(builder)
@@ -259,6 +272,7 @@ fn population(mask: &[String], root: &Path) -> Result<StagePopulationMask, Error
         })?;
         population.add_path(prim);
     }
+    population.add_path(ASKING_PRIM);
     Ok(population)
 }
 

@@ -1,6 +1,8 @@
 //! The composed stage → [`RawStage`]: its prims depth first, then each prototype once.
 
 use super::OTHER_DOOR;
+use super::ahead::Ahead;
+use super::kept::Walked;
 use super::layer_files::{EMPTY_SESSION, LayerFiles};
 use super::properties::{Fault, InstanceKey, Properties, Sites, text};
 use super::twins::{Siblings, Sole, Twin};
@@ -30,15 +32,12 @@ pub(super) struct Traversal<'a> {
     warnings: Vec<Warning>,
     /// Prims whose payloads are not loaded.
     unloaded: Vec<String>,
-    /// It was told that there are more than [`MANY_LAYERS`].
-    many_layers: bool,
+    ahead: Ahead<'a>,
+    /// Prims in reach of value clips.
+    clipped: Vec<usize>,
     /// Prims beside each other may be composed as one.
     finds_twins: bool,
 }
-
-/// The crate wires all layers anew for every one it opens: 500, 1000 and 2000 referenced layers take 0.2, 1.1 and 7.4 s
-/// (usd-core's worker: a few tenths for all).
-const MANY_LAYERS: usize = 1000;
 
 /// A prim still to be visited.
 struct Pending {
@@ -59,6 +58,8 @@ impl<'a> Traversal<'a> {
         request: &'a Request,
         cancel: &'a CancelToken,
     ) -> Self {
+        let loads_payloads = request.composition.load == Load::All;
+        let finds_twins = request.mask.is_empty() && loads_payloads;
         Self {
             stage,
             properties: Properties::new(stage, files, request),
@@ -71,8 +72,9 @@ impl<'a> Traversal<'a> {
             numbers: HashMap::new(),
             warnings: Vec::new(),
             unloaded: Vec::new(),
-            many_layers: false,
-            finds_twins: request.mask.is_empty() && request.composition.load == Load::All,
+            ahead: Ahead::new(stage, cancel, (finds_twins, loads_payloads)),
+            clipped: Vec::new(),
+            finds_twins,
         }
     }
 
@@ -80,6 +82,7 @@ impl<'a> Traversal<'a> {
     pub(super) fn without_twins(self) -> Self {
         Self {
             finds_twins: false,
+            ahead: self.ahead.without_twins(),
             ..self
         }
     }
@@ -88,7 +91,7 @@ impl<'a> Traversal<'a> {
     ///
     /// # Errors
     /// Layers that cannot be read, features that are not supported, cancellation.
-    pub(super) fn run(mut self, root: &Path) -> Result<(RawStage, Vec<Warning>), Error> {
+    pub(super) fn run(mut self, root: &Path) -> Result<Walked, Error> {
         let roots = self.stage.root_prims().map_err(|error| Error::Layer {
             path: root.to_owned(),
             message: format!("{error:#}; {OTHER_DOOR}"),
@@ -112,9 +115,8 @@ impl<'a> Traversal<'a> {
         }
         let mut meta = meta(self.stage, root)?;
         let attributes = self.prims.iter().flat_map(|prim| prim.attributes.values());
-        for value in attributes.filter_map(|attribute| attribute.value.as_ref()) {
-            meta.read.attributes += 1;
-            meta.read.bytes += value.bytes();
+        for attribute in attributes {
+            meta.read.add(attribute.value.as_ref());
         }
         let raw = RawStage {
             meta: RawMeta {
@@ -124,13 +126,20 @@ impl<'a> Traversal<'a> {
             prims: self.prims,
             prototype_start,
         };
-        Ok((raw, self.warnings))
+        Ok(Walked {
+            raw,
+            warnings: self.warnings,
+            clipped: self.clipped,
+        })
     }
 
     /// Walk every prototype, those met on the way too; the index of each one's root.
     fn walk_prototypes(&mut self) -> Result<Vec<usize>, Error> {
         let mut roots = Vec::new();
         while let Some(path) = self.prototypes.get(roots.len()).cloned() {
+            if self.ahead.is_due() {
+                self.ahead.compose(self.prototypes[roots.len()..].to_vec());
+            }
             roots.push(self.prims.len());
             self.walk(vec![Pending {
                 path,
@@ -149,28 +158,13 @@ impl<'a> Traversal<'a> {
                 return Err(Cancelled.into());
             }
             let children = self.visit(&next).map_err(refused)?;
-            self.warn_of_many_layers();
             pending.extend(children.into_iter().rev());
+            if self.ahead.is_due() {
+                let paths = pending.iter().map(|next| next.path.clone());
+                self.ahead.compose(paths.collect());
+            }
         }
         Ok(())
-    }
-
-    /// Told while it happens, so that nobody waits without knowing why.
-    fn warn_of_many_layers(&mut self) {
-        if self.many_layers || self.stage.layer_count() <= MANY_LAYERS {
-            return;
-        }
-        self.many_layers = true;
-        let message = format!(
-            "more than {MANY_LAYERS} layers: without usd-core the time to compose them grows with the square of their \
-             number or faster; {OTHER_DOOR} in a second"
-        );
-        log::info!("{message}");
-        self.warnings.push(Warning {
-            kind: "many-layers".to_owned(),
-            prim: self.stage.root_layer().identifier().to_owned(),
-            message,
-        });
     }
 
     /// Add the prim, if it is to be seen, and return its children.
@@ -178,7 +172,7 @@ impl<'a> Traversal<'a> {
         let siblings = next.siblings.as_ref();
         let mut sole = siblings.and_then(|all| all.borrow().sole(self.stage, &next.path));
         if let (Some(siblings), Some(own)) = (siblings, sole.take()) {
-            let twin = siblings.borrow().twin(&own);
+            let twin = siblings.borrow_mut().twin(&own);
             match twin {
                 Some(twin) => return self.add_twin(next, own, &twin),
                 None => sole = Some(own),
@@ -204,6 +198,9 @@ impl<'a> Traversal<'a> {
         }
         let clips = next.clips || own_clips;
         let index = self.prims.len();
+        if clips {
+            self.clipped.push(index);
+        }
         self.prims.push(self.prim(next, &sites, clips)?);
         let is_instance = handle.is_instance().map_err(|error| sites.fault(&error))?;
         if is_instance && !next.root {
@@ -329,7 +326,7 @@ impl<'a> Traversal<'a> {
     }
 }
 
-fn refused(fault: Fault) -> Error {
+pub(super) fn refused(fault: Fault) -> Error {
     Error::Layer {
         path: PathBuf::from(fault.layer),
         message: format!("{}; {OTHER_DOOR}", fault.message),

@@ -5,10 +5,10 @@
 //! the next one with an equal spec has the same sites, its own apart, and the same prototype.
 
 use super::properties::{Site, Sites};
+use super::twin_keys::{ByKey, Key};
 use crate::stage::raw::RawPrim;
 use openusd::sdf::{self, AbstractData, ChildrenKey, FieldKey};
 use openusd::usd::Stage;
-use std::collections::HashMap;
 use std::rc::Rc;
 
 /// Fields of a prim spec that compose nothing.
@@ -26,14 +26,16 @@ const IDLE: [&str; 8] = [
 /// What one parent's children have in common.
 pub(super) struct Siblings {
     sites: Vec<Site>,
-    /// By all fields that compose, spelled out.
-    known: HashMap<String, Rc<Twin>>,
+    /// By all fields that compose.
+    known: ByKey<Rc<Twin>>,
+    /// What [`Self::is_new`] was asked of.
+    met: ByKey<()>,
 }
 
 /// The one spec that makes a prim.
 pub(super) struct Sole {
     own: Site,
-    key: String,
+    key: Key,
 }
 
 /// An instance that was composed.
@@ -65,7 +67,8 @@ impl Siblings {
         let sites = if is_moved { Vec::new() } else { sites.0 };
         Self {
             sites,
-            known: HashMap::new(),
+            known: ByKey::default(),
+            met: ByKey::default(),
         }
     }
 
@@ -94,9 +97,21 @@ impl Siblings {
         Some(Sole { own, key })
     }
 
+    /// False if the child at `path` composes what another one does that was asked for here.
+    pub(super) fn is_new(&mut self, stage: &Stage, path: &sdf::Path) -> bool {
+        let Some(sole) = self.sole(stage, path) else {
+            return true;
+        };
+        let is_new = self.met.get(&sole.key).is_none();
+        if is_new {
+            self.met.insert(sole.key, ());
+        }
+        is_new
+    }
+
     /// The instance composed before that `sole` makes again.
-    pub(super) fn twin(&self, sole: &Sole) -> Option<Rc<Twin>> {
-        self.known.get(&sole.key).cloned()
+    pub(super) fn twin(&mut self, sole: &Sole) -> Option<Rc<Twin>> {
+        self.known.get(&sole.key)
     }
 
     /// `sole` made `prim`, an instance of prototype `number`.
@@ -131,30 +146,33 @@ impl Twin {
     }
 }
 
+/// What an instance without children of its own has not.
+const OWN: [&str; 4] = [
+    ChildrenKey::PrimChildren.as_str(),
+    ChildrenKey::VariantSetChildren.as_str(),
+    FieldKey::Clips.as_str(),
+    FieldKey::Relocates.as_str(),
+];
+
 /// Everything that the spec at `path` composes; `None` where that may depend on its name, or is no instance.
-fn key(data: &dyn AbstractData, path: &sdf::Path) -> Option<String> {
-    let field = |name: &str| data.try_field(path, name).ok().flatten();
-    if field(FieldKey::Instanceable.as_str()).as_deref() != Some(&sdf::Value::Bool(true))
-        || field(FieldKey::Specifier.as_str()).as_deref()
-            != Some(&sdf::Value::Specifier(sdf::Specifier::Def))
-    {
-        return None;
-    }
-    let own = [
-        ChildrenKey::PrimChildren.as_str(),
-        ChildrenKey::VariantSetChildren.as_str(),
-        FieldKey::Clips.as_str(),
-        FieldKey::Relocates.as_str(),
-    ];
-    if own.iter().any(|name| data.has_field(path, name)) {
-        return None;
-    }
+fn key(data: &dyn AbstractData, path: &sdf::Path) -> Option<Key> {
     let mut names = data.list_fields(path)?;
+    let has = |name: &str| names.iter().any(|own| own == name);
+    if !has(FieldKey::Instanceable.as_str()) || OWN.iter().any(|name| has(name)) {
+        return None;
+    }
     names.retain(|name| !IDLE.contains(&name.as_str()));
     names.sort_unstable();
-    let mut key = String::new();
-    for name in names {
-        key += &format!("{name}={:?};", field(&name)?);
-    }
-    Some(key)
+    let field = |name: String| {
+        let value = data.try_field(path, &name).ok().flatten()?.into_owned();
+        Some((name, value))
+    };
+    let key: Key = names.into_iter().map(field).collect::<Option<_>>()?;
+    let is = |name: &str, value| key.iter().any(|(own, of)| own == name && *of == value);
+    let is_instance = is(FieldKey::Instanceable.as_str(), sdf::Value::Bool(true))
+        && is(
+            FieldKey::Specifier.as_str(),
+            sdf::Value::Specifier(sdf::Specifier::Def),
+        );
+    is_instance.then_some(key)
 }

@@ -2,6 +2,7 @@
 
 pub mod flatten;
 pub mod geometry;
+pub mod hermite;
 pub mod look;
 pub mod skinning;
 pub mod xform;

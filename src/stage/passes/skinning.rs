@@ -128,7 +128,7 @@ impl<'a> Posing<'a> {
             .get("primvars:skel:geomBindTransform")
             .map(|a| &a.value)
         {
-            Some(Some(Value::Matrix(matrix))) => *matrix,
+            Some(Some(Value::Matrix(matrix))) => **matrix,
             _ => DMat4::IDENTITY,
         };
         let mesh_from_skeleton =
@@ -348,7 +348,7 @@ fn deformed_normals(
 ) -> Option<(&'static str, Vec<Vec3>)> {
     let name = ["primvars:normals", "normals"]
         .into_iter()
-        .find(|name| mesh.attributes.contains_key(*name))?;
+        .find(|name| mesh.attributes.contains_key(name))?;
     let normals = vectors(mesh, name)?;
     let corners = match mesh.attributes.get("faceVertexIndices").map(|a| &a.value) {
         Some(Some(Value::IntArray(corners))) => corners.as_slice(),

@@ -100,7 +100,7 @@ fn kind_matrix(kind: &str, value: &Value) -> Option<DMat4> {
         ("orient", Value::Quat(quaternion)) => {
             DMat4::from_mat3(rotation_of_quaternion(*quaternion))
         }
-        ("transform", Value::Matrix(matrix)) => *matrix,
+        ("transform", Value::Matrix(matrix)) => **matrix,
         _ => {
             let (kind, axis) = kind.split_at_checked(kind.len().checked_sub(1)?)?;
             let axis = unit_axis(axis)?;

@@ -281,7 +281,7 @@ fn check_prims(written: &Written, raw: &RawStage, time: Option<f64>, audit: &mut
     for prim in &raw.prims[raw.prototype_start..] {
         for name in shared
             .iter()
-            .filter(|name| prim.attributes.contains_key(**name))
+            .filter(|name| prim.attributes.contains_key(name))
         {
             check_values(prim, name, time, audit);
         }

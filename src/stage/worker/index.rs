@@ -213,10 +213,10 @@ impl Attribute {
             connections: self.connections,
             varying: self.varying,
             held: match self.held {
-                Some((time, value)) => Some(Sample {
+                Some((time, value)) => Some(Box::new(Sample {
                     time: time.0,
                     value: value.into_raw(arrays)?,
-                }),
+                })),
                 None => None,
             },
         })
@@ -235,7 +235,8 @@ impl Content {
             Self::Quat(values) => Value::Quat(DQuat::from_array(values.map(|value| value.0))),
             // USD's row-major, row-vector matrix is the column-major, column-vector one in memory.
             Self::Matrix(values) => {
-                Value::Matrix(DMat4::from_cols_array(&values.map(|value| value.0)))
+                let matrix = DMat4::from_cols_array(&values.map(|value| value.0));
+                Value::Matrix(Box::new(matrix))
             }
             Self::Tokens(values) => Value::TokenArray(values),
             Self::Array(offset, kind, rows, columns) => {

@@ -108,8 +108,9 @@ def Xform "top" {{
 fn what_is_not_drawn_is_named() {
     for shape in [
         "Points \"x\" { point3f[] points = [(0, 0, 0)]\n}",
-        "HermiteCurves \"x\" { int[] curveVertexCounts = [2]
-            vector3f[] tangents = [(1, 0, 0), (1, 0, 0)]
+        "NurbsCurves \"x\" { int[] curveVertexCounts = [2]
+            int[] order = [2]
+            double[] knots = [0, 0, 1, 1]
             point3f[] points = [(0, 0, 0), (1, 0, 0)]\n}",
     ] {
         unsupported(&format!("def {shape}"), "unsupported-prim");
@@ -154,6 +155,18 @@ fn curves_of_every_type_basis_and_wrap() {
         );
         equal(&text, None, 1);
     }
+}
+
+#[test]
+fn hermite_curves() {
+    let text = "def HermiteCurves \"c\" {
+    int[] curveVertexCounts = [2, 3]
+    point3f[] points = [(0, 0, 0), (3, 3, 0), (0, 0, 1), (3, 0, 1), (3, 3, 1)]
+    vector3f[] tangents = [(3, 0, 0), (0, 3, 0), (3, 0, 0), (0, 0, 0), (0, 3, 0)]
+    float[] widths = [0.2, 0.1, 0.2, 0.3, 0.1] ( interpolation = \"vertex\" )
+    color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0)] ( interpolation = \"uniform\" )
+}";
+    equal(text, None, 1);
 }
 
 #[test]

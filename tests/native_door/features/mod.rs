@@ -7,15 +7,20 @@ use crate::Case;
 use crate::compare::compare;
 
 /// A small stage: its files (the first is the root) and what it is about.
-struct Feature {
+pub(crate) struct Feature {
     name: &'static str,
-    files: &'static [(&'static str, &'static str)],
+    pub(crate) files: &'static [(&'static str, &'static str)],
+}
+
+/// All of them.
+pub(crate) fn features() -> impl Iterator<Item = &'static Feature> {
+    arcs::FEATURES.iter().chain(values::FEATURES)
 }
 
 #[test]
 fn composition_features_read_like_usd_core_reads_them() {
     let mut failed = Vec::new();
-    for feature in arcs::FEATURES.iter().chain(values::FEATURES) {
+    for feature in features() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         for (name, text) in feature.files {
             std::fs::write(folder.path().join(name), text).expect("a file");

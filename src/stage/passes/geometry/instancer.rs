@@ -182,7 +182,7 @@ fn spins(start: &Sample, velocities: &[Vec3], moment: Moment) -> Vec<DQuat> {
 }
 
 fn held<'a>(instancer: &'a RawPrim, name: &str) -> Option<&'a Sample> {
-    instancer.attributes.get(name)?.held.as_ref()
+    instancer.attributes.get(name)?.held.as_deref()
 }
 
 /// The vectors of `sample`, if it is at the time of `start` and has as many values.

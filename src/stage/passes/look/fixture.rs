@@ -68,8 +68,10 @@ impl Fixture {
     }
 
     pub(super) fn connect(mut self, name: &str, target: &str) -> Self {
-        let attribute = self.last().attributes.entry(name.to_owned()).or_default();
+        let attributes = &mut self.last().attributes;
+        let mut attribute = attributes.remove(name).unwrap_or_default();
         attribute.connections = vec![target.to_owned()];
+        attributes.insert(name.to_owned(), attribute);
         self
     }
 

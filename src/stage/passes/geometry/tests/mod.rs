@@ -57,7 +57,12 @@ fn under(mut prim: RawPrim, parent: usize) -> RawPrim {
 fn transformed(prim: RawPrim, matrix: DMat4) -> RawPrim {
     let order = Value::TokenArray(vec!["xformOp:transform".to_owned()]);
     let prim = with_attribute(prim, "xformOpOrder", order, None);
-    with_attribute(prim, "xformOp:transform", Value::Matrix(matrix), None)
+    with_attribute(
+        prim,
+        "xformOp:transform",
+        Value::Matrix(Box::new(matrix)),
+        None,
+    )
 }
 
 fn moved(prim: RawPrim, x: f64, y: f64, z: f64) -> RawPrim {
@@ -366,7 +371,7 @@ fn skinning_is_named_where_a_skeleton_is_bound_with_or_without_the_api() {
 #[test]
 fn types_that_cannot_be_drawn_are_named() {
     let built = build_all(vec![
-        prim("/hair", "HermiteCurves", None),
+        prim("/hair", "NurbsCurves", None),
         prim("/x", "Xform", None),
     ]);
     assert_eq!(built.warnings, ["unsupported-prim"]);
