@@ -570,14 +570,13 @@ fn a_tolerance_is_met_by_maps_and_rays_alike_and_covers_the_surfels() {
         args.extend(surfels);
         let report = json(&run(&args));
         let surfels = report["settings"]["surfel_error"].as_f64().unwrap();
-        assert!(
-            report["error"]["estimate"].as_f64().unwrap() >= surfels,
-            "{report}"
-        );
+        let estimate = report["error"]["estimate"].as_f64().unwrap();
+        assert!((surfels..=0.02).contains(&estimate), "{report}");
         surfels
     };
     let (usual, few) = (error(&[]), error(&["--surfels", "300"]));
-    assert!(usual.max(few) <= 0.6 * 0.02, "{usual} {few}");
+    // Whatever is in doubt about them, half of the tolerance is left to rays: √(1 − ½²).
+    assert!(usual.max(few) <= 0.866 * 0.02, "{usual} {few}");
 }
 
 #[test]

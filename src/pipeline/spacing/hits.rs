@@ -48,9 +48,6 @@ const MOST_RAYS: f64 = 16_384.0;
 /// before a run of 3.3 s.
 const JUDGING: f64 = 0.05;
 
-/// Fewest pairs of sets: one alone would often be sure by chance.
-const FEWEST_PAIRS: usize = 2;
-
 /// Turn of the pattern from one set to the next: no multiple is one of the run (0), the pilot or `verify`.
 const TURN: f32 = 0.267_949_2;
 
@@ -296,7 +293,7 @@ impl<'a> Witness<'a> {
             rays: self.rays_needed(&reads, relit_share),
             relit_share,
         };
-        let pairs = self.most_pairs(self.ladder.rays_of_run(&unjudged));
+        let pairs = self.pairs_worth(self.ladder.rays_of_run(&unjudged));
         let errors = errors_of_surfels(baked, self.ladder.world, near_radii);
         let squares = self.errors(errors.as_ref(), pairs, diagnostics)?;
         Ok(Judged {
@@ -306,24 +303,28 @@ impl<'a> Witness<'a> {
         })
     }
 
-    /// Mean square of the relative error of each of the run's AOVs by that `of` surfels, and its standard error, by at most
-    /// so many pairs of sets.
+    /// Mean square of the relative error of each of the run's AOVs by that `of` surfels, and its standard error, by so many
+    /// pairs of sets at most, if they are enough to leave no more in doubt than what is allowed.
     fn errors(
         &self,
         of: Option<&RadianceSource<'_>>,
-        most_pairs: usize,
+        worth: usize,
         diagnostics: &Diagnostics,
     ) -> Result<Vec<(f64, f64)>, Error> {
+        let allowed = self.ladder.allowed.powi(2);
         let mut sums: [Values; 2] = [Vec::new(), Vec::new()];
         let mut found = Vec::new();
-        for pair in 0..most_pairs {
+        for pair in 0..self.most_pairs() {
             for (half, sum) in sums.iter_mut().enumerate() {
                 let set = 2 * pair + half;
                 let results = self.look(of, set, &self.carriers, diagnostics)?;
                 add(sum, &self.of_carriers(&results));
             }
             found = self.squares(&sums, (pair + 1) as f64);
-            if pair > 0 && found.iter().all(|&square| self.is_sure(square)) {
+            let is_known = |&(square, error): &(f64, f64)| {
+                self.is_sure((square, error)) || (pair + 1 >= worth && error < allowed)
+            };
+            if pair > 0 && found.iter().all(is_known) {
                 break;
             }
         }
@@ -453,14 +454,22 @@ impl<'a> Witness<'a> {
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
-        reason = "at most 128"
+        reason = "part of a count"
     )]
-    fn most_pairs(&self, rays_of_run: f64) -> usize {
+    fn pairs_worth(&self, rays_of_run: f64) -> usize {
         let (lights, sky) = self.ladder.lights();
         let of_hit = 1.0 + lights + SKY_RAYS_A_HIT * sky;
         let of_pair = 2.0 * self.rays * of_hit * self.ladder.few.len() as f64;
-        let worth = JUDGING * rays_of_run / of_pair;
-        (worth as usize).clamp(FEWEST_PAIRS, (0.5 * MOST_RAYS / self.rays) as usize)
+        (JUDGING * rays_of_run / of_pair) as usize
+    }
+
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "at most 128"
+    )]
+    fn most_pairs(&self) -> usize {
+        (0.5 * MOST_RAYS / self.rays) as usize
     }
 
     #[expect(
