@@ -7,7 +7,7 @@ use std::f32::consts::PI;
 use std::fs;
 use std::path::Path;
 use surflux::diagnostics::Diagnostics;
-use surflux::stage::cloud::read_cloud;
+use surflux::stage::cloud::{read_cloud, read_particles};
 use surflux::surfels::SurfelCloud;
 use surflux::writers::usd::Error;
 use surflux::writers::usd::cloud::{self, CloudOptions};
@@ -289,7 +289,9 @@ def Points "other" {
     float[] primvars:area = [7]
 }
 def Points "faceless" {
-    point3f[] points = [(0, 0, 0)]
+    point3f[] points = [(0, 0, 9)]
+    float[] widths = [3]
+    color3f[] primvars:displayColor = [(1, 2, 3)]
 }
 "#;
     fs::write(&path, text).expect("written");
@@ -309,7 +311,17 @@ def Points "faceless" {
     assert_eq!((cloud.prim[0], cloud.prim[2]), (0, 1));
     assert_eq!((cloud.area[2], cloud.radius[2]), (7.0, 1.0));
     let prims: Vec<_> = diagnostics.warnings().into_iter().map(|w| w.prim).collect();
-    assert_eq!(prims, ["/PointCloud/PointCloud", "/faceless", "/other"]);
+    assert_eq!(prims, ["/PointCloud/PointCloud", "/other"]);
+    // What faces nowhere is no surfel but a particle, which shines in its color.
+    let found = read_particles(&path, DVec3::ZERO, &diagnostics).expect("read");
+    assert_eq!(found.len(), 1);
+    let (prim, glowing) = &found[0];
+    assert_eq!(
+        (prim.as_str(), &glowing.radius[..]),
+        ("/faceless", &[1.5][..])
+    );
+    close(glowing.position[0], Vec3::new(0.0, 0.0, 9.0));
+    close(glowing.radiance[0], Vec3::new(1.0, 2.0, 3.0));
 }
 
 #[test]
