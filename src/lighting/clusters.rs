@@ -64,6 +64,8 @@ pub(super) struct Node {
 pub(super) trait Item: Send + Sync + Sized {
     fn center(&self) -> Vec3;
 
+    fn power(&self) -> f32;
+
     /// Sums over `items`, at least one, the first of which has the number `first`; without children.
     fn node(items: &[Self], first: u32) -> Node;
 }
@@ -94,23 +96,10 @@ impl Clusters {
     /// # Panics
     /// With 2^31 triangles or more.
     pub(super) fn new(triangles: &[EmissiveTriangle]) -> Self {
-        assert!(
-            triangles.len() < 1 << 31,
-            "emissive triangles are numbered with 31 bits"
-        );
         let mut sources: Vec<Source> = triangles.iter().filter_map(Source::new).collect();
-        let nodes = if sources.is_empty() {
-            Vec::new()
-        } else {
-            build(&mut sources, 0)
-        };
-        let mut sum = 0.0;
-        let sums = sources.iter().map(|source| {
-            sum += f64::from(source.power);
-            sum
-        });
+        let (nodes, sums) = grow(&mut sources);
         Self {
-            sums: sums.collect(),
+            sums,
             sources,
             nodes,
         }
@@ -371,13 +360,32 @@ impl Source {
     }
 }
 
+/// The nodes of a tree over `sources`, which are put in its order, and the running sums of their power.
+///
+/// # Panics
+/// With 2^31 sources or more.
+pub(super) fn grow<T: Item>(sources: &mut [T]) -> (Vec<Node>, Vec<f64>) {
+    assert!(
+        sources.len() < 1 << 31,
+        "sources of light are numbered with 31 bits"
+    );
+    let nodes = if sources.is_empty() {
+        Vec::new()
+    } else {
+        build(sources, 0)
+    };
+    let mut sum = 0.0;
+    let sums = sources.iter().map(|source| {
+        sum += f64::from(source.power());
+        sum
+    });
+    (nodes, sums.collect())
+}
+
 /// Nodes over `sources`, the first of which has the number `first`; reorders them. Preorder, so that a first child
 /// follows its parent.
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "whoever builds one asserts the count"
-)]
-pub(super) fn build<T: Item>(sources: &mut [T], first: u32) -> Vec<Node> {
+#[expect(clippy::cast_possible_truncation, reason = "grow asserts the count")]
+fn build<T: Item>(sources: &mut [T], first: u32) -> Vec<Node> {
     let node = T::node(sources, first);
     if sources.len() <= LEAF_SIZE {
         return vec![node];
@@ -421,9 +429,13 @@ impl Item for Source {
         self.center
     }
 
+    fn power(&self) -> f32 {
+        self.power
+    }
+
     #[expect(
         clippy::cast_possible_truncation,
-        reason = "sums in f64; Clusters::new asserts the count"
+        reason = "sums in f64; grow asserts the count"
     )]
     fn node(sources: &[Self], first: u32) -> Node {
         let power: f64 = sources.iter().map(|s| f64::from(s.power)).sum();

@@ -5,7 +5,7 @@
 //! A cluster that is small as seen from the receiver and wholly above its horizon counts as one point; what is not, is
 //! opened, down to single particles. As [`super::clusters`], for sources that face every way.
 
-use super::clusters::{Item, MOST_VISITS, Node, POINT_LIKE, Part, build, pick, visible};
+use super::clusters::{Item, MOST_VISITS, Node, POINT_LIKE, Part, grow, pick, visible};
 use super::pattern;
 use super::stand::Stand;
 use crate::math::{Frame, luminance};
@@ -52,22 +52,9 @@ impl Particles {
                 })
             }));
         }
-        assert!(
-            sources.len() < 1 << 31,
-            "particles are numbered with 31 bits"
-        );
-        let nodes = if sources.is_empty() {
-            Vec::new()
-        } else {
-            build(&mut sources, 0)
-        };
-        let mut sum = 0.0;
-        let sums = sources.iter().map(|source: &Particle| {
-            sum += f64::from(source.power);
-            sum
-        });
+        let (nodes, sums) = grow(&mut sources);
         Self {
-            sums: sums.collect(),
+            sums,
             sources,
             nodes,
         }
@@ -172,9 +159,13 @@ impl Item for Particle {
         self.center
     }
 
+    fn power(&self) -> f32 {
+        self.power
+    }
+
     #[expect(
         clippy::cast_possible_truncation,
-        reason = "sums in f64; Particles::new asserts the count"
+        reason = "sums in f64; grow asserts the count"
     )]
     fn node(sources: &[Self], first: u32) -> Node {
         let power: f64 = sources.iter().map(|s| f64::from(s.power)).sum();
