@@ -2,7 +2,7 @@
 
 use super::frames::Frames;
 use super::progress::ProgressMode;
-use super::run;
+use super::run::RunArgs;
 use crate::pipeline::Falloff;
 use crate::stage::VariantChoice;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
@@ -40,42 +40,6 @@ pub(super) enum Command {
         /// A folder that exists.
         folder: PathBuf,
     },
-}
-
-#[derive(Debug, Args)]
-pub(super) struct RunArgs {
-    /// The recipe (schemas/recipe.schema.json; ready ones are in pipelines/).
-    pub(super) recipe: PathBuf,
-    /// Replace one of its settings; many times.
-    #[arg(long, value_name = "NAME=VALUE", value_parser = run::setting)]
-    pub(super) set: Vec<(String, String)>,
-    /// What earlier runs did. Default: the recipe's name with .manifest.json, in the current folder.
-    #[arg(long, value_name = "FILE")]
-    pub(super) manifest: Option<PathBuf>,
-    /// Go on after a crash: what was finished and is there is not looked at again.
-    #[arg(long)]
-    pub(super) resume: bool,
-    /// Run what is up to date too.
-    #[arg(long, conflicts_with = "resume")]
-    pub(super) force: bool,
-    /// Tell what would be run, run nothing.
-    #[arg(long)]
-    pub(super) dry_run: bool,
-    /// Tasks at a time, at most; they share the threads.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(super) jobs: usize,
-    /// Memory of all tasks at a time (4GiB). One that nobody knows about runs alone.
-    #[arg(long, value_name = "BYTES", value_parser = crate::recipes::parse_bytes)]
-    pub(super) memory: Option<u64>,
-    /// Threads of all tasks at a time; 0 = one a core.
-    #[arg(long, default_value_t = 0, env = "SURFLUX_THREADS")]
-    pub(super) threads: usize,
-    /// What was done as JSON on stdout.
-    #[arg(long)]
-    pub(super) json: bool,
-    /// Errors only.
-    #[arg(short, long)]
-    pub(super) quiet: bool,
 }
 
 /// What is done with a stage.

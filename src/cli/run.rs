@@ -1,15 +1,52 @@
 //! `surflux run`: what is heard of a recipe while it runs, and its end.
 
-use super::args::RunArgs;
 use super::frames::Frames;
 use crate::diagnostics::{CancelToken, Diagnostics, Silent};
 use crate::recipes::{self, RecipeError, RunRecipeJob, State, TaskReport};
 use anyhow::Context;
+use clap::Args;
 use std::io::Write;
 use std::path::PathBuf;
 
 /// The interpreter of scripts, if nothing else is asked for: that of USD.
 const PYTHON: &str = "SURFLUX_USD_PYTHON";
+
+/// What `run` is told.
+#[derive(Debug, Args)]
+pub(super) struct RunArgs {
+    /// The recipe (schemas/recipe.schema.json; ready ones are in pipelines/).
+    recipe: PathBuf,
+    /// Replace one of its settings; many times.
+    #[arg(long, value_name = "NAME=VALUE", value_parser = setting)]
+    set: Vec<(String, String)>,
+    /// What earlier runs did. Default: the recipe's name with .manifest.json, in the current folder.
+    #[arg(long, value_name = "FILE")]
+    manifest: Option<PathBuf>,
+    /// Go on after a crash: what was finished and is there is not looked at again.
+    #[arg(long)]
+    resume: bool,
+    /// Run what is up to date too.
+    #[arg(long, conflicts_with = "resume")]
+    force: bool,
+    /// Tell what would be run, run nothing.
+    #[arg(long)]
+    dry_run: bool,
+    /// Tasks at a time, at most; they share the threads.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    jobs: usize,
+    /// Memory of all tasks at a time (4GiB). One that nobody knows about runs alone.
+    #[arg(long, value_name = "BYTES", value_parser = recipes::parse_bytes)]
+    memory: Option<u64>,
+    /// Threads of all tasks at a time; 0 = one a core.
+    #[arg(long, default_value_t = 0, env = "SURFLUX_THREADS")]
+    threads: usize,
+    /// What was done as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    /// Errors only.
+    #[arg(short, long)]
+    quiet: bool,
+}
 
 /// Run a recipe with all its steps.
 pub(super) fn run(args: RunArgs) -> anyhow::Result<()> {
@@ -115,7 +152,7 @@ fn line(task: &TaskReport) -> String {
 }
 
 /// `name=value`.
-pub(super) fn setting(text: &str) -> Result<(String, String), String> {
+fn setting(text: &str) -> Result<(String, String), String> {
     let (name, value) = text.split_once('=').ok_or("name=value is needed")?;
     Ok((name.trim().to_owned(), value.to_owned()))
 }
