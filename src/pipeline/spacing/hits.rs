@@ -43,7 +43,7 @@ const RAYS_OF_ONE: f64 = 5.12;
 /// Rays at each of the few receivers at most, of all sets: two million at 128 receivers.
 const MOST_RAYS: f64 = 16_384.0;
 
-/// Rays that judge surfels over those of the run, at most; each takes about twice the time, since its neighbors are far.
+/// Rays that judge surfels over those of the run, beyond what leaves no more in doubt than what is allowed; each takes about twice the time, since its neighbors are far.
 /// In a Cornell box with two balls (13 480 points, one bounce, 1 %) sets without end took 3.9 s to tell 0.67 from 0.6 %
 /// before a run of 3.3 s.
 const JUDGING: f64 = 0.05;
@@ -220,13 +220,18 @@ impl Ladder<'_> {
 
     /// Rays of all receivers, as many as meet the tolerance beside the surfels' error, and those that light their hits.
     fn rays_of_run(&self, judged: &Judged) -> f64 {
-        let (lights, sky) = self.lights();
         let error = self.worst(&judged.errors) * self.allowed / self.tolerance;
         let left = (1.0 - error * error).max(LEAST_LEFT).sqrt();
-        let law = PATTERN_LAW + (HITS_LAW - PATTERN_LAW) * judged.relit_share;
-        let more = (RAYS_SHARE / left).max(1.0).powf(2.0 / law);
-        let of_hits = judged.relit_share * (lights + SKY_RAYS_A_HIT * sky);
+        let more = (RAYS_SHARE / left).max(1.0);
+        let more = more.powf(2.0 / law_of_squares(judged.relit_share));
+        let of_hits = judged.relit_share * self.rays_of_hit();
         self.receivers as f64 * judged.rays * more * (1.0 + of_hits)
+    }
+
+    /// Rays that light a hit anew.
+    fn rays_of_hit(&self) -> f64 {
+        let (lights, sky) = self.lights();
+        lights + SKY_RAYS_A_HIT * sky
     }
 
     /// Rays to lights from each place, and 1 where there is a sky.
@@ -251,6 +256,8 @@ struct Witness<'a> {
     rays: f64,
     /// Mean magnitude of each AOV of the run.
     means: Vec<f64>,
+    /// Two sets with all hits lit anew, once asked for: the same for all clouds.
+    at_hits: Vec<Values>,
 }
 
 impl<'a> Witness<'a> {
@@ -269,6 +276,7 @@ impl<'a> Witness<'a> {
                 .clamp(RAYS.0, RAYS.1)
                 .round(),
             means: Vec::new(),
+            at_hits: Vec::new(),
         }
     }
 
@@ -303,8 +311,8 @@ impl<'a> Witness<'a> {
         })
     }
 
-    /// Mean square of the relative error of each of the run's AOVs by that `of` surfels, and its standard error, by so many
-    /// pairs of sets at most, if they are enough to leave no more in doubt than what is allowed.
+    /// Mean square of the relative error of each of the run's AOVs by that `of` surfels, and its standard error. Ends when
+    /// these tell enough, or after as many pairs of sets as are `worth` it, once no more is in doubt than what is allowed.
     fn errors(
         &self,
         of: Option<&RadianceSource<'_>>,
@@ -332,19 +340,25 @@ impl<'a> Witness<'a> {
     }
 
     /// Surfels leave no error where none is read. `None` where a few rays can't light a hit.
-    fn all_anew(&self, baked: &Baked, diagnostics: &Diagnostics) -> Result<Option<Judged>, Error> {
+    fn all_anew(
+        &mut self,
+        baked: &Baked,
+        diagnostics: &Diagnostics,
+    ) -> Result<Option<Judged>, Error> {
         let world = self.ladder.world;
         let Some(light) = relight(baked, world, &world.lighting) else {
             return Ok(None);
         };
         let anew = RadianceSource::AtHits(light);
         let relit_share = self.relit_share(&anew);
-        let looks = self.two_sets(&anew, diagnostics)?;
+        if self.at_hits.is_empty() {
+            self.at_hits = self.two_sets(&anew, diagnostics)?;
+        }
         Ok(Some(Judged {
             errors: Vec::new(),
             sure: Vec::new(),
             relit: Relit::All,
-            rays: self.rays_needed(&looks, relit_share),
+            rays: self.rays_needed(&self.at_hits, relit_share),
             relit_share,
         }))
     }
@@ -388,7 +402,7 @@ impl<'a> Witness<'a> {
             return FEWEST_RAYS;
         };
         let allowed = RAYS_SHARE * self.ladder.tolerance;
-        let law = PATTERN_LAW + (HITS_LAW - PATTERN_LAW) * relit_share;
+        let law = law_of_squares(relit_share);
         let needed = |(&aov, &mean): (&Aov, &f64)| {
             let c = self.carrier_index(aov)?;
             let noise = relative(rms_difference(&a[c], &b[c]), mean) / SQRT_2;
@@ -457,9 +471,8 @@ impl<'a> Witness<'a> {
         reason = "part of a count"
     )]
     fn pairs_worth(&self, rays_of_run: f64) -> usize {
-        let (lights, sky) = self.ladder.lights();
-        let of_hit = 1.0 + lights + SKY_RAYS_A_HIT * sky;
-        let of_pair = 2.0 * self.rays * of_hit * self.ladder.few.len() as f64;
+        let of_ray = 1.0 + self.ladder.rays_of_hit();
+        let of_pair = 2.0 * self.rays * of_ray * self.ladder.few.len() as f64;
         (JUDGING * rays_of_run / of_pair) as usize
     }
 
@@ -498,6 +511,11 @@ impl<'a> Witness<'a> {
             lighting: Some(&world.lighting),
         }
     }
+}
+
+/// Power of the rays that squared errors fall with where light is found anew in the hits of `relit_share`.
+fn law_of_squares(relit_share: f64) -> f64 {
+    PATTERN_LAW + (HITS_LAW - PATTERN_LAW) * relit_share
 }
 
 /// Error as it is reported, from its square and the standard error of that: doubt counts.
