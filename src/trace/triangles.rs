@@ -76,7 +76,7 @@ impl Triangles {
                 index: index as u32,
             }
         });
-        let tree = Wide::build(items.collect());
+        let tree = Wide::build(items);
         let blocks = (tree.order.chunks_exact(LEAF_SIZE))
             .map(|lanes| Block::new(lanes, corners))
             .collect();
