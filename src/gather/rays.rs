@@ -9,7 +9,7 @@ pub mod lobe;
 mod shared;
 mod stand;
 
-use super::radiance::{Outgoing, RadianceSource};
+use super::radiance::{DicedSurfels, Outgoing, RadianceSource};
 use super::ray_query::RayQuery;
 use super::{Engine, EngineFactory, Hemisphere};
 use crate::math::sequence;
@@ -278,9 +278,7 @@ pub struct RaysFactory<'a> {
 
 impl EngineFactory for RaysFactory<'_> {
     fn with_engine(&self, cloud: &SurfelCloud, work: &mut dyn FnMut(&dyn Engine)) {
-        let dice = self.dice;
-        let near = None;
-        let source = RadianceSource::Baked { cloud, dice, near };
+        let source = RadianceSource::Baked(DicedSurfels::new(cloud, self.dice, None));
         work(&RaysEngine::new(self.tracer, Some(source), self.settings));
     }
 }

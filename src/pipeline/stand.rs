@@ -89,7 +89,7 @@ impl<'a> Stand<'a> {
     /// What lights hits anew that are too near to read surfels.
     pub(super) fn near_light(&self) -> Option<HitLight<'a>> {
         match &self.source {
-            Some(RadianceSource::Baked { near, .. }) => *near,
+            Some(RadianceSource::Baked(surfels)) => surfels.near(),
             _ => None,
         }
     }

@@ -72,7 +72,7 @@ impl Looks<'_> {
         scratch: &mut Hemisphere,
         visit: &mut dyn FnMut(usize, &Hemisphere),
     ) {
-        let mut hits = Vec::new();
+        let (mut hits, mut found) = (Vec::new(), [None; PACKET]);
         for start in range.clone().step_by(PACKET) {
             let end = (start + PACKET).min(range.end);
             let packet = Packet::new(self.query, receivers, start..end);
@@ -80,7 +80,7 @@ impl Looks<'_> {
             hits.iter_mut().for_each(Vec::clear);
             hits.resize_with(count, Vec::new);
             let along: Vec<_> = (self.directions.iter())
-                .map(|&direction| self.along(&packet, direction, &mut hits))
+                .map(|&direction| self.along(&packet, direction, (&mut found, &mut hits)))
                 .collect();
             for (i, hits) in hits.iter().enumerate() {
                 self.fill((&packet, i), &along, hits, scratch);
@@ -90,16 +90,20 @@ impl Looks<'_> {
     }
 
     /// Sends a packet along `direction`; appends distance and radiance to the `hits` of those that are covered, if
-    /// there is a source.
-    fn along(&self, packet: &Packet, direction: Vec3, hits: &mut [Vec<(f32, Outgoing)>]) -> Along {
+    /// there is a source. `found` is room for what they hit.
+    fn along(
+        &self,
+        packet: &Packet,
+        direction: Vec3,
+        (found, hits): (&mut [Option<Hit>; PACKET], &mut [Vec<(f32, Outgoing)>]),
+    ) -> Along {
         let facing = packet.facing(direction);
         let mirrored = packet.below_plane(direction) & facing;
         let straight = facing & !mirrored;
         let mut covered = 0;
         if let Some(source) = self.source {
-            let mut found = [None; PACKET];
             let asked = (self.max_distance, straight);
-            (self.query).closest_along(direction, &packet.origins, asked, &mut found);
+            (self.query).closest_along(direction, &packet.origins, asked, found);
             for i in bits_of(facing) {
                 let (origin, own) = (packet.origins[i], packet.stands[i].above_horizon(direction));
                 if mirrored >> i & 1 == 1 {
