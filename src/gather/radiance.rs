@@ -24,7 +24,22 @@ impl Outgoing {
         emitted: Vec3::ZERO,
     };
 
-    /// Of surfel `i`, a diffuse one: radiosity / π, the same in all directions.
+    /// This and `other` together.
+    pub(super) fn plus(self, other: Self) -> Self {
+        Self {
+            reflected: self.reflected + other.reflected,
+            emitted: self.emitted + other.emitted,
+        }
+    }
+
+    /// The part `share` of it.
+    pub(super) fn times(self, share: f32) -> Self {
+        Self {
+            reflected: self.reflected * share,
+            emitted: self.emitted * share,
+        }
+    }
+
     fn less(self, other: Self) -> Self {
         Self {
             reflected: self.reflected - other.reflected,
@@ -32,6 +47,7 @@ impl Outgoing {
         }
     }
 
+    /// Of surfel `i`, a diffuse one: radiosity / π, the same in all directions.
     fn of_surfel(cloud: &SurfelCloud, i: u32) -> Self {
         let i = i as usize;
         Self {

@@ -73,9 +73,14 @@ impl<'a> Stand<'a> {
         Self { part, ..self }
     }
 
-    /// True if only rays know about the part that is asked about.
+    /// True if a part of the hemisphere is asked about.
     pub(super) fn is_partial(&self) -> bool {
         self.part != Part::Whole
+    }
+
+    /// True if only rays know about what is asked about: a part of the hemisphere, or surfaces that let light through.
+    pub(super) fn needs_rays(&self) -> bool {
+        self.is_partial() || self.world.tracer.has_screens()
     }
 
     pub(super) fn world(&self) -> &'a World<'a> {

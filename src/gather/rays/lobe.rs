@@ -51,22 +51,23 @@ impl RaysEngine<'_> {
         let stand = Stand::of(receivers, i);
         let origin = self.query.lift(receivers.position[i], stand.lift);
         let gloss = lobes.shader.gloss(&receivers.surface[i]);
+        let (look, mut layers) = (self.look(), Vec::new());
         for lobe in gloss.lobes() {
             for &point in points {
                 let Some((local, share)) = lobe.sample(view, point) else {
                     continue;
                 };
                 let direction = stand.above_horizon(frame.to_world(local));
-                let (distance, radiance) = self.look(origin, direction);
-                let is_open = distance.is_infinite();
-                let light = match lobes.lighting.filter(|_| is_open) {
-                    Some(lighting) => lighting.environment_radiance(direction),
-                    None => radiance.reflected + radiance.emitted,
-                };
+                let sight = look.along(origin, direction, &mut layers);
+                let open = 1.0 - sight.coverage;
+                let mut light = sight.light.reflected + sight.light.emitted;
+                if let Some(lighting) = lobes.lighting.filter(|_| open > 0.0) {
+                    light += lighting.environment_radiance(direction) * open;
+                }
                 seen.direction.push(direction);
                 seen.weight.push(1.0 / points.len() as f32);
-                seen.coverage.push(if is_open { 0.0 } else { 1.0 });
-                seen.distance.push(distance);
+                seen.coverage.push(sight.coverage);
+                seen.distance.push(sight.distance);
                 seen.reflected.push(share * light);
                 seen.emitted.push(Vec3::ZERO);
             }
