@@ -5,6 +5,7 @@
 //! receiver's own normal. Both are the same everywhere, so there is error but no noise, and no seams.
 
 pub mod cone;
+mod glossy;
 pub mod lobe;
 mod shared;
 mod stand;

@@ -1,6 +1,7 @@
 //! What a glossy surface reflects towards the eye: rays spread as its lobes are. PBGI §6.2.
 
-use super::{Hemisphere, RaysEngine, Stand};
+use super::glossy::Glossy;
+use super::{Hemisphere, Look, RaysEngine, Stand};
 use crate::lighting::Lighting;
 use crate::math::sequence;
 use crate::receivers::Receivers;
@@ -40,24 +41,32 @@ impl RaysEngine<'_> {
             return;
         };
         let frame = sequence::transported_frame(normal);
-        let view = Vec3::new(
-            eye.dot(frame.tangent),
-            eye.dot(frame.bitangent),
-            eye.dot(normal),
-        );
+        let view = frame.to_local(eye);
         if view.z <= 0.0 {
             return;
         }
         let stand = Stand::of(receivers, i);
         let origin = self.query.lift(receivers.position[i], stand.lift);
         let gloss = lobes.shader.gloss(&receivers.surface[i]);
-        let (look, mut layers) = (self.look(), Vec::new());
+        let mut layers = Vec::new();
         for lobe in gloss.lobes() {
-            for &point in points {
+            for (&point, number) in points.iter().zip(0..) {
                 let Some((local, share)) = lobe.sample(view, point) else {
                     continue;
                 };
                 let direction = stand.above_horizon(frame.to_world(local));
+                let glossy = self.source.as_ref().map(|source| Glossy {
+                    query: self.query,
+                    source,
+                    lobes: *lobes,
+                    max_distance: self.max_distance,
+                    number,
+                });
+                let look = Look {
+                    query: self.query,
+                    source: glossy.as_ref(),
+                    max_distance: self.max_distance,
+                };
                 let sight = look.along(origin, direction, &mut layers);
                 let open = 1.0 - sight.coverage;
                 let mut light = sight.light.reflected + sight.light.emitted;
