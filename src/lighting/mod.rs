@@ -105,7 +105,7 @@ impl ShadePoint {
             normal,
             geometric_normal,
             smooth_offset: (normal != geometric_normal).then(smooth).flatten(),
-            prim: Some(surface.prim),
+            prim: (surface.prim != PrimId::NONE).then_some(surface.prim),
         }
     }
 }
