@@ -5,7 +5,6 @@
 mod program;
 
 use program::{run, stage, stderr};
-use std::f32::consts::PI;
 use std::fs;
 
 /// A white floor 2 wide at the origin, facing up, and `more`.
@@ -77,7 +76,11 @@ fn panel(name: &str, (x, y, half): (f32, f32, f32), emission: &str) -> String {
 }
 
 /// Red of `aov` at the floor's points, all of whose numbers are finite, and what was said; `glow` is the image at hand.
-fn baked(text: &str, aov: &str, glow: Option<&dyn Fn(usize, usize) -> f32>) -> (Vec<f32>, String) {
+fn baked(
+    text: &str,
+    aov: &str,
+    glow: Option<&(dyn Fn(usize, usize) -> f32 + Sync)>,
+) -> (Vec<f32>, String) {
     let (folder, path) = stage(text);
     if let Some(glow) = glow {
         let file = folder.path().join("glow.exr");
@@ -129,14 +132,14 @@ fn a_lamp_inside_a_ball_lights_nothing_outside_and_one_that_sticks_out_some_of_i
     for aov in ["irradiance_direct", "irradiance_indirect"] {
         assert_eq!(baked(&inside, aov, None).0, [0.0; 4], "{aov}");
     }
-    // Its lower half is out of the ball; the points of the floor see a little more than that.
+    // Its lower half is out of the ball: the points of the floor see that, and some of the rest.
     let out = scene(&format!("{BALL}\n{}", lamp("1000", 1.5)));
     let free = scene(&lamp("1000", 1.5));
     for (out, free) in (baked(&out, "irradiance_direct", None).0.iter())
         .zip(baked(&free, "irradiance_direct", None).0)
     {
         let share = out / free;
-        assert!(0.45 < share && share < 0.8, "{out} {free}");
+        assert!(0.5 < share && share < 0.99, "{out} {free}");
     }
 }
 
@@ -146,11 +149,9 @@ fn a_lamp_that_sits_on_a_surface_or_around_a_point_gives_finite_light() {
         let (values, _) = baked(&scene(&lamp("10", height)), "irradiance", None);
         assert!(values.iter().all(|value| *value >= 0.0), "{values:?}");
     }
-    // Points within the lamp see it all around.
+    // Lamps shine outwards: within one it is dark.
     let around = "def SphereLight \"lamp\" { float inputs:intensity = 3\nfloat inputs:radius = 5 }";
-    for value in baked(&scene(around), "irradiance_direct", None).0 {
-        assert!((value / (3.0 * PI) - 1.0).abs() < 0.01, "{value}");
-    }
+    assert_eq!(baked(&scene(around), "irradiance_direct", None).0, [0.0; 4]);
 }
 
 /// The bright panel is seen from nowhere on the floor, then by all of it: the dim one must be found in either case.
