@@ -342,6 +342,8 @@ pub struct RawAttribute {
     pub interpolation: Option<String>,
     /// `elementSize` metadata.
     pub element_size: Option<i32>,
+    /// `weight` metadata, of shapes in between.
+    pub weight: Option<f32>,
     /// `colorSpace` metadata.
     pub color_space: Option<String>,
     /// Connection targets.
