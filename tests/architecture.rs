@@ -14,7 +14,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
     // tools
     ("image", &["math", "diagnostics", "scene"]),
     ("trace", &["math", "scene"]),
-    ("shading", &["math", "diagnostics", "scene", "image"]),
+    (
+        "shading",
+        &["math", "diagnostics", "scene", "image", "trace"],
+    ),
     (
         "lighting",
         &["math", "diagnostics", "scene", "image", "shading", "trace"],

@@ -264,6 +264,10 @@ pub(super) struct BakeArgs {
     /// Layout of the primvars on meshes.
     #[arg(long, value_enum, default_value_t = InterpolationName::Vertex)]
     pub(super) interpolation: InterpolationName,
+    /// Compute at the points of this file (UsdGeomPoints with normals) instead of those of meshes; they are written to the
+    /// output with the results as primvars.
+    #[arg(long, value_name = "CLOUD")]
+    pub(super) positions: Option<PathBuf>,
     /// What to do about meshes below instances.
     #[arg(long, value_enum, default_value_t = InstancesName::Shared)]
     pub(super) instances: InstancesName,

@@ -9,7 +9,7 @@ use crate::bake::BakeSettings;
 use crate::pipeline::{
     BakeJob, BakeView, Bounces, ConvertJob, Dome, Encoding, EngineChoice, Falloff, GatherJob,
     InfoJob, Job, MapsSettings, OcclusionKind, OutputJob, PointsJob, Purposed, RenderJob, StageJob,
-    VerifyJob, ViewJob,
+    VerifyJob, ViewJob, unknown_at_points,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::{Purpose, UpAxis};
@@ -306,8 +306,14 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
             "--aov {aov}: a bake has no eye to reflect to (add --view X,Y,Z or --view CAMERA, or use render)"
         );
     }
+    if let Some(aov) = (args.positions.as_ref()).and_then(|_| unknown_at_points(&gather.aovs)) {
+        bail!(
+            "--aov {aov}: the points of --positions lie on no surface that is known and have no material"
+        );
+    }
     Ok(BakeJob {
         stage,
+        positions: args.positions,
         output: output(args.output, USD_EXTENSIONS)?,
         gather,
         interpolation: match args.interpolation {

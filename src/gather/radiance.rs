@@ -26,6 +26,22 @@ impl Outgoing {
         emitted: Vec3::ZERO,
     };
 
+    /// This and `other` together.
+    pub(super) fn plus(self, other: Self) -> Self {
+        Self {
+            reflected: self.reflected + other.reflected,
+            emitted: self.emitted + other.emitted,
+        }
+    }
+
+    /// The part `share` of it.
+    pub(super) fn times(self, share: f32) -> Self {
+        Self {
+            reflected: self.reflected * share,
+            emitted: self.emitted * share,
+        }
+    }
+
     fn less(self, other: Self) -> Self {
         Self {
             reflected: self.reflected - other.reflected,

@@ -231,6 +231,8 @@ pub struct BakeJob {
     pub display_color: Option<Aov>,
     /// Where glossy surfaces are looked at from.
     pub view: Option<BakeView>,
+    /// Points to compute at instead of those of meshes; they are written again, with the results.
+    pub positions: Option<PathBuf>,
 }
 
 /// The eye of a bake.

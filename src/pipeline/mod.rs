@@ -11,6 +11,7 @@ mod job;
 mod maps;
 mod outputs;
 mod points;
+mod positions;
 mod raster;
 mod render;
 mod report;
@@ -34,6 +35,7 @@ pub use job::{
     BakeJob, BakeView, ConvertJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OcclusionKind,
     OutputJob, Part, PointsJob, Purposed, RenderJob, StageJob, VerifyJob, ViewJob,
 };
+pub use positions::unknown_at_points;
 pub use report::{Counts, ErrorReport, ReadReport, Report, Seconds};
 pub use validate::{CheckSummary, ValidationReport, validate};
 pub use verify::verify;
@@ -131,6 +133,12 @@ pub enum Error {
         /// Names of all.
         known: String,
     },
+    /// Positions to bake at that face nowhere.
+    #[error("{}: no point has a normal, which says where the hemisphere is that light comes from", path.display())]
+    NoNormals {
+        /// The file of points.
+        path: PathBuf,
+    },
     /// A bake without meshes.
     #[error("{}: no mesh is on the stage that values could be written to", path.display())]
     NothingToBake {
@@ -147,7 +155,10 @@ pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
     let start = std::time::Instant::now();
     let done = match job {
         Job::Points(job) => points::run(job, diagnostics),
-        Job::Bake(job) => bake::run(job, diagnostics),
+        Job::Bake(job) => match &job.positions {
+            Some(path) => positions::run(job, path, diagnostics),
+            None => bake::run(job, diagnostics),
+        },
         Job::Render(job) => render::run(job, diagnostics),
         Job::View(job) => show::run(job, diagnostics),
         Job::Convert(job) => convert::run(job, diagnostics),

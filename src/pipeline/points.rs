@@ -7,7 +7,7 @@ use super::world::{Needs, with_world};
 use super::{Error, outputs, provenance};
 use crate::diagnostics::Diagnostics;
 use crate::stage;
-use crate::writers::usd::cloud::{self, CloudOptions};
+use crate::writers::usd::cloud::{CloudOptions, write};
 use std::path::Path;
 
 pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
@@ -38,15 +38,16 @@ pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, 
             diagnostics,
             |world, report| {
                 let baked = dice(world, &job.bake, (&mut *report, diagnostics))?;
-                report.counts.surfels = report.counts.surfels.max(baked.cloud.len());
-                report.set("spacing", f64::from(baked.cloud.spacing));
+                let cloud = baked.cloud.without_holes();
+                report.counts.surfels = report.counts.surfels.max(cloud.len());
+                report.set("spacing", f64::from(cloud.spacing));
                 timed(&mut report.seconds.write, || {
                     let _phase = diagnostics.phase("write", "file", 0);
                     let options = CloudOptions {
                         provenance: provenance(&job.stage),
                         ..CloudOptions::default()
                     };
-                    cloud::write(&baked.cloud, &world.scene().stage, path, &options)
+                    write(&cloud, &world.scene().stage, path, &options)
                 })?;
                 Ok(())
             },

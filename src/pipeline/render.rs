@@ -13,6 +13,7 @@ use crate::receivers::sampling::Sampling;
 use crate::receivers::{Receivers, camera};
 use crate::results::{Aov, AovImage, resolve};
 use crate::stage;
+use crate::trace::Layer;
 use crate::writers::image::{ExrInfo, ExrLayout, write_exr, write_png};
 use glam::{Vec3, Vec4};
 use std::collections::BTreeMap;
@@ -179,14 +180,15 @@ fn sampling(world: &World<'_>, view: &View, job: &RenderJob) -> Sampling {
 
 /// Receivers on the surfaces that the camera sees; lights in front hide them.
 fn place(world: &World<'_>, view: &View, job: &RenderJob, sampling: &Sampling) -> Receivers {
-    let cast = |origin, direction, length| {
-        let hit = world.tracer.closest(origin, direction, length)?;
-        let hidden = !job.hide_lights
-            && world
-                .lighting
-                .seen(origin, direction, hit.distance)
-                .is_some();
-        (!hidden).then_some(hit)
+    let cast = |origin: Vec3, direction: Vec3, length: f32, found: &mut Vec<Layer>| {
+        camera::see_through(&world.tracer, (origin, direction), length, found);
+        let Some(last) = found.last().filter(|_| !job.hide_lights) else {
+            return;
+        };
+        let light = (world.lighting).seen(origin, direction, last.hit.distance);
+        if let Some((distance, _)) = light {
+            found.retain(|layer| layer.hit.distance < distance);
+        }
     };
     camera::place_with(world.scene(), &cast, (&view.camera, view.frame), sampling)
 }
@@ -201,18 +203,24 @@ fn glow(
     sky: bool,
     (origin, direction, length): (Vec3, Vec3, f32),
 ) -> Vec4 {
-    let hit = world.tracer.closest(origin, direction, length);
-    let length = hit.map_or(length, |hit| hit.distance);
+    let solid = world.tracer.solid_closest(origin, direction, length);
+    let length = solid.map_or(length, |hit| hit.distance);
     let shown = part.map_or(world, |(_, part)| part);
-    match world.lighting.seen(origin, direction, length) {
+    let light = world.lighting.seen(origin, direction, length);
+    let end = light.map_or(length, |(distance, _)| distance);
+    let is_sky = light.is_none() && solid.is_none() && sky;
+    if light.is_none() && !is_sky {
+        return Vec4::ZERO;
+    }
+    let open = (world.tracer).layers((origin, direction), end, &mut Vec::new());
+    match light {
         Some(nearest) => {
-            let own = shown.lighting.seen(origin, direction, length);
-            own.filter(|own| *own == nearest)
-                .unwrap_or(Vec3::ZERO)
-                .extend(1.0)
+            let own = (shown.lighting).seen(origin, direction, length);
+            let own = own.filter(|own| *own == nearest);
+            let radiance = own.map_or(Vec3::ZERO, |(_, radiance)| radiance);
+            (radiance * open).extend(open)
         }
-        None if hit.is_none() && sky => shown.lighting.environment_radiance(direction).extend(0.0),
-        None => Vec4::ZERO,
+        None => (shown.lighting.environment_radiance(direction) * open).extend(0.0),
     }
 }
 

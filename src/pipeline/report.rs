@@ -159,6 +159,9 @@ pub struct Report {
     pub outputs: Vec<PathBuf>,
     /// Everything that was not as it should be.
     pub warnings: Vec<Warning>,
+    /// True once some frame had surfaces that let light through: later ones read materials at once.
+    #[serde(skip)]
+    pub(super) has_screens: bool,
     /// What the pilot chose for each set of AOVs: later frames keep it.
     #[serde(skip)]
     pub(super) choices: BTreeMap<Vec<Aov>, Choice>,
@@ -197,6 +200,7 @@ impl Report {
             error: ErrorReport::default(),
             outputs: Vec::new(),
             warnings: Vec::new(),
+            has_screens: false,
             choices: BTreeMap::new(),
             dicings: BTreeMap::new(),
         }

@@ -85,6 +85,7 @@ fn read(
     let mut source = stage::open(path, job.stage.door, diagnostics)?;
     let nothing = Needs {
         materials: false,
+        opacity: false,
         lights: false,
         gloss: false,
     };

@@ -175,6 +175,9 @@ impl Request {
                 "collection:*",
             ]);
         }
+        if settings.opacity {
+            attributes.extend(super::opacity::ATTRIBUTES);
+        }
         if settings.all_primvars {
             attributes.push("primvars:*");
         }
@@ -339,6 +342,8 @@ pub struct RawAttribute {
     pub interpolation: Option<String>,
     /// `elementSize` metadata.
     pub element_size: Option<i32>,
+    /// `weight` metadata, of shapes in between.
+    pub weight: Option<f32>,
     /// `colorSpace` metadata.
     pub color_space: Option<String>,
     /// Connection targets.

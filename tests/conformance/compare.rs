@@ -1,6 +1,7 @@
 //! One scene against what usd-core computes of the stage.
 
 mod look;
+mod normals;
 
 use crate::truth::{Truth, list, number};
 use glam::{DMat4, DVec3};
@@ -203,6 +204,7 @@ impl Comparison<'_> {
         self.topology(path, mesh, theirs);
         self.positions(prim, theirs);
         self.primvars(path, mesh, theirs);
+        self.normals(prim, theirs);
         self.materials(prim, theirs);
     }
 

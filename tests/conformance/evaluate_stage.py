@@ -134,18 +134,21 @@ class Evaluation:
         if prim.IsA(UsdGeom.Mesh):
             self.mesh(UsdGeom.Mesh(prim), np.array(place), entry)
         elif prim.IsA(UsdGeom.PointBased):
-            self.hull(UsdGeom.PointBased(prim), entry)
+            self.hull(UsdGeom.PointBased(prim), place, entry)
         else:
+            entry["matrix"] = matrix(self.moved_whole(prim, place))
             extent = UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), self.time)
             entry["extent"] = numbers(np.array(extent, dtype=float).reshape(-1)) if extent else None
         return entry
 
-    def hull(self, prim, entry):
+    def hull(self, prim, place, entry):
         """Curves and patches: a box around their control points and half their largest width, which they are within."""
         points = np.array(prim.GetPointsAttr().Get(self.time) or [], dtype=float).reshape(-1, 3)
         entry["empty"] = not len(points)
         if entry["empty"]:
             return
+        points, place = self.posed(prim, points, np.array(place))
+        entry["matrix"] = matrix(place)
         widths = prim.GetPrim().GetAttribute("widths")
         widths = (widths.Get(self.time) if widths else None) or [1.0 if prim.GetPrim().IsA(UsdGeom.Curves) else 0.0]
         reach = max(widths) / 2
@@ -181,12 +184,10 @@ class Evaluation:
         valid = counts.sum() == len(indices) and (not len(indices) or 0 <= indices.min() <= indices.max() < len(points))
         if entry["empty"] or not valid:
             return
-        skinned = mesh.GetPrim().HasAPI("SkelBindingAPI")
-        if skinned:
-            points, place = self.posed(mesh, points, place)
+        unposed = place
+        points, place = self.posed(mesh, points, place)
         moved = lambda p: p @ place[:3, :3] + place[3, :3]
         entry["scheme"] = scheme
-        entry["skinned"] = skinned
         entry["double_sided"] = bool(mesh.GetDoubleSidedAttr().Get(self.time))
         entry["counts"] = self.arrays.add(counts)
         entry["indices"] = self.arrays.add(indices)
@@ -201,43 +202,105 @@ class Evaluation:
         entry["which"] = self.arrays.add(which)
         entry["points"] = self.arrays.add(moved(limits))
         entry["primvars"] = self.primvars(mesh.GetPrim())
+        entry["normals"] = self.normals(mesh, unposed, indices) if scheme == "none" else None
         entry["subsets"] = []
         for subset in UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets():
             faces = get(subset.GetIndicesAttr(), int)
             entry["subsets"].append([*self.bound(subset.GetPrim()), self.arrays.add(faces)])
 
-    def posed(self, mesh, points, place):
-        """Points as their skeleton deforms them, and the matrix that then takes them to the world."""
-        prim = mesh.GetPrim()
+    def skinning(self, prim):
+        """What deforms `prim`: its query and the skeleton's; None where nothing does."""
         root = UsdSkel.Root.Find(prim)
         if not root:
-            return points, place
+            return None
         cache, everything = UsdSkel.Cache(), Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
         cache.Populate(root, everything)
-        skinning = cache.GetSkinningQuery(prim)
         for binding in cache.ComputeSkelBindings(root, everything):
-            targets = [target.GetPrim() for target in binding.GetSkinningTargets()]
-            if prim not in targets or not skinning:
-                continue
-            query = cache.GetSkelQuery(binding.GetSkeleton())
-            if skinning.HasBlendShapes() and query.GetAnimQuery():
-                weights = query.GetAnimQuery().ComputeBlendShapeWeights(self.time)
-                mapper = skinning.GetBlendShapeMapper()
-                weights = mapper.Remap(weights) if mapper else weights
-                points = self.blended(UsdSkel.BindingAPI(prim), weights, points)
-            if not skinning.HasJointInfluences():
-                return points, place
-            joints = query.ComputeSkinningTransforms(self.time)
-            vectors = Vt.Vec3fArray.FromNumpy(points.astype(np.float32))
-            if joints and skinning.IsRigidlyDeformed():
-                matrix = np.array(skinning.ComputeSkinnedTransform(joints, self.time))
-                points = points @ matrix[:3, :3] + matrix[3, :3]
-            elif not joints or not skinning.ComputeSkinnedPoints(joints, vectors, self.time):
-                return points, place
-            else:
-                points = np.array(vectors, dtype=float)
-            return points, np.array(self.xforms.GetLocalToWorldTransform(query.GetPrim()))
-        return points, place
+            for target in binding.GetSkinningTargets():
+                if target.GetPrim() == prim:
+                    return cache, target, cache.GetSkelQuery(binding.GetSkeleton())
+        return None
+
+    def posed(self, gprim, points, place):
+        """Points as their skeleton deforms them, and the matrix that then takes them to the world."""
+        prim = gprim.GetPrim()
+        found = self.skinning(prim)
+        if not found:
+            return points, place
+        _, skinning, query = found
+        if skinning.HasBlendShapes() and query.GetAnimQuery():
+            weights = query.GetAnimQuery().ComputeBlendShapeWeights(self.time)
+            mapper = skinning.GetBlendShapeMapper()
+            weights = mapper.Remap(weights) if mapper else weights
+            points = self.blended(UsdSkel.BindingAPI(prim), weights, points)
+        if not skinning.HasJointInfluences():
+            return points, place
+        joints = query.ComputeSkinningTransforms(self.time)
+        vectors = Vt.Vec3fArray.FromNumpy(points.astype(np.float32))
+        if joints and skinning.IsRigidlyDeformed():
+            matrix = np.array(skinning.ComputeSkinnedTransform(joints, self.time))
+            points = points @ matrix[:3, :3] + matrix[3, :3]
+        elif not joints or not skinning.ComputeSkinnedPoints(joints, vectors, self.time):
+            return points, place
+        else:
+            points = np.array(vectors, dtype=float)
+        return points, np.array(self.xforms.GetLocalToWorldTransform(query.GetPrim()))
+
+    def moved_whole(self, prim, place):
+        """The matrix of a gprim without points that a skeleton moves."""
+        found = self.skinning(prim)
+        if not found or not found[1].HasJointInfluences():
+            return place
+        _, skinning, query = found
+        joints = query.ComputeSkinningTransforms(self.time)
+        skinned = skinning.ComputeSkinnedTransform(joints, self.time)
+        return Gf.Matrix4d(skinned) * self.xforms.GetLocalToWorldTransform(query.GetPrim())
+
+    def normals(self, mesh, place, indices):
+        """World normals as authored, or as the skeleton turns them, and what there is one for; None without any."""
+        prim = mesh.GetPrim()
+        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+        if primvar and primvar.HasAuthoredValue():
+            values, interpolation = primvar.ComputeFlattened(self.time), primvar.GetInterpolation()
+        else:
+            values, interpolation = mesh.GetNormalsAttr().Get(self.time), mesh.GetNormalsInterpolation()
+        if not values:
+            return None
+        normals = np.array(values, dtype=float)
+        found = self.skinning(prim)
+        if found and found[1].HasJointInfluences():
+            if interpolation not in ("vertex", "varying", "faceVarying"):
+                return None
+            _, skinning, query = found
+            normals = self.turned(skinning, query, normals, indices if interpolation == "faceVarying" else None)
+            place = np.array(self.xforms.GetLocalToWorldTransform(query.GetPrim()))
+        normals = normals @ np.linalg.inv(place[:3, :3]).T
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        return [str(interpolation), self.arrays.add(normals / np.where(lengths > 0, lengths, 1))]
+
+    def turned(self, skinning, query, normals, corners):
+        joints = query.ComputeSkinningTransforms(self.time)
+        mapper = skinning.GetJointMapper()
+        joints = mapper.RemapTransforms(joints) if mapper else joints
+        count = len(normals) if corners is None else int(corners.max()) + 1
+        which, weights = skinning.ComputeVaryingJointInfluences(count, self.time)
+        width = len(which) // count
+        which, weights = np.array(which).reshape(count, width), np.array(weights).reshape(count, width)
+        if corners is not None:
+            which, weights = which[corners], weights[corners]
+        inverse = lambda m: m.GetTranspose().GetInverse()
+        linear = lambda m: Gf.Matrix3d(*[m[r][c] for r in range(3) for c in range(3)])
+        values = Vt.Vec3fArray.FromNumpy(normals.astype(np.float32))
+        UsdSkel.SkinNormals(
+            skinning.GetSkinningMethod(),
+            inverse(linear(skinning.GetGeomBindTransform(self.time))),
+            Vt.Matrix3dArray([inverse(linear(joint)) for joint in joints]),
+            Vt.IntArray.FromNumpy(which.reshape(-1).astype(np.int32)),
+            Vt.FloatArray.FromNumpy(weights.reshape(-1).astype(np.float32)),
+            width,
+            values,
+        )
+        return np.array(values, dtype=float)
 
     @staticmethod
     def blended(binding, weights, points):

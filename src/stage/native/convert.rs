@@ -145,6 +145,20 @@ pub(super) fn value(from: &sdf::Value, resolve: &dyn Fn(&str) -> String) -> Opti
     }
 }
 
+/// A number, whatever spelling the parser of text took it for.
+pub(super) fn float(from: &sdf::Value) -> Option<f32> {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_precision_loss,
+        reason = "it is a float in USD"
+    )]
+    match scalar(from)? {
+        Value::Float(number) => Some(number as f32),
+        Value::Int(number) => Some(number as f32),
+        _ => None,
+    }
+}
+
 fn scalar(from: &sdf::Value) -> Option<Value> {
     use sdf::Value as V;
     Some(match from {

@@ -347,6 +347,10 @@ impl<'a> Properties<'a> {
                 Some(sdf::Value::Int64(size)) => i32::try_from(size).ok(),
                 _ => None,
             },
+            weight: match (name.starts_with("inbetweens:"), strongest(specs, "weight")?) {
+                (true, Some(weight)) => convert::float(&weight),
+                _ => None,
+            },
             color_space: token(specs, FieldKey::ColorSpace.as_str())?,
             ..RawAttribute::default()
         };

@@ -26,7 +26,7 @@ impl LocalTransform {
 }
 
 const INVERT: &str = "!invert!";
-const RESET: &str = "!resetXformStack!";
+pub(super) const RESET: &str = "!resetXformStack!";
 /// Concrete types of usd-core 26.11 that are not Xformable, so that xformOps on them mean nothing
 /// (found by asking its schema registry).
 const NOT_XFORMABLE: [&str; 12] = [

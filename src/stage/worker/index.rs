@@ -72,6 +72,7 @@ struct Attribute {
     value: Option<Content>,
     interpolation: Option<String>,
     element_size: Option<i32>,
+    weight: Option<Number>,
     color_space: Option<String>,
     #[serde(default)]
     connections: Vec<String>,
@@ -209,6 +210,7 @@ impl Attribute {
             value: self.value.map(|value| value.into_raw(arrays)).transpose()?,
             interpolation: self.interpolation,
             element_size: self.element_size,
+            weight: self.weight.map(|weight| narrow(weight.0)),
             color_space: self.color_space,
             connections: self.connections,
             varying: self.varying,
@@ -247,6 +249,11 @@ impl Content {
             }
         })
     }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "it is a float in USD")]
+fn narrow(number: f64) -> f32 {
+    number as f32
 }
 
 fn vector(values: &[Number]) -> Result<Value, String> {

@@ -412,6 +412,8 @@ class Loader:
                 entry["interpolation"] = str(interpolation)
             if attribute.HasAuthoredMetadata("elementSize"):
                 entry["element_size"] = attribute.GetMetadata("elementSize")
+            if name.startswith("inbetweens:") and attribute.HasAuthoredMetadata("weight"):
+                entry["weight"] = number(attribute.GetMetadata("weight"))
         if has_space and not is_op and attribute.HasColorSpace():
             entry["color_space"] = str(attribute.GetColorSpace())
         if is_moved:
