@@ -1,6 +1,7 @@
 //! What a run did, as `--json` prints it (DESIGN: `surflux`, `command`, `usd`, `seconds`, `counts`, …).
 
 use super::choice::Choice;
+use super::shots::Shot;
 use super::spacing::Dicing;
 use crate::diagnostics::Warning;
 use crate::gather::ErrorEstimate;
@@ -159,6 +160,9 @@ pub struct Report {
     pub outputs: Vec<PathBuf>,
     /// Everything that was not as it should be.
     pub warnings: Vec<Warning>,
+    /// Pictures of the first frame, where a page or a thumbnail was asked for.
+    #[serde(skip)]
+    pub shots: Vec<Shot>,
     /// What the pilot chose for each set of AOVs: later frames keep it.
     #[serde(skip)]
     pub(super) choices: BTreeMap<Vec<Aov>, Choice>,
@@ -197,6 +201,7 @@ impl Report {
             error: ErrorReport::default(),
             outputs: Vec::new(),
             warnings: Vec::new(),
+            shots: Vec::new(),
             choices: BTreeMap::new(),
             dicings: BTreeMap::new(),
         }
