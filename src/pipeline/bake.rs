@@ -48,7 +48,9 @@ pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Er
             |world, report| {
                 let (receivers, results) = bake(world, job, (&mut *report, diagnostics))?;
                 if writer.is_none() && job.output.report.is_some() {
-                    plain = without_reflections(world, job, &receivers, (time, diagnostics))?;
+                    plain = timed(&mut report.seconds.gather, || {
+                        without_reflections(world, job, &receivers, (time, diagnostics))
+                    })?;
                 }
                 let target = receivers.target;
                 let Target::Primvars(spans) = &target else {

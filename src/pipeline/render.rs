@@ -121,7 +121,9 @@ fn render(
     })?;
     if shown {
         let pair = shots::paired(&view.aovs, &job.gather).filter(|_| job.output.report.is_some());
-        let plain = pair.map(|aov| without_reflections(world, view, (job, aov), diagnostics));
+        let plain = timed(&mut report.seconds.gather, || {
+            pair.map(|aov| without_reflections(world, view, (job, aov), diagnostics))
+        });
         let plain = plain.transpose()?.flatten();
         shots::of_render(&images, plain.as_ref(), (job, &view.output), report);
     }
@@ -136,6 +138,10 @@ fn without_reflections(
     diagnostics: &Diagnostics,
 ) -> Result<Option<AovImage>, Error> {
     let view = &shots::small(view, aov);
+    let job = &RenderJob {
+        pixel_samples: job.pixel_samples.min(shots::PIXEL_SAMPLES),
+        ..job.clone()
+    };
     let sampling = sampling(world, view, job);
     let receivers = place(world, view, job, &sampling);
     let asked = shots::without_reflections(&job.gather, aov);

@@ -153,6 +153,15 @@ fn text(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),
         Value::Array(values) => values.iter().map(text).collect::<Vec<_>>().join(", "),
+        Value::Null => "none".to_owned(),
+        Value::Number(number) if number.is_f64() => {
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "settings are single precision: further digits are noise"
+            )]
+            let single = number.as_f64().unwrap_or(f64::NAN) as f32;
+            single.to_string()
+        }
         other => other.to_string(),
     }
 }
@@ -219,11 +228,12 @@ mod tests {
     fn what_was_typed_is_text_and_no_markup() {
         let mut report = Report::new(&["surflux".into(), "bake".into(), "<i>.usda".into()]);
         report.set("aovs", vec!["occlusion", "irradiance"]);
+        report.set("max_solid_angle", f64::from(0.03_f32));
         report.error.tolerance = Some(0.02);
         report.error.aovs.insert("irradiance".to_owned(), 0.034);
         let page = sheet(&report, "<i>.usda", Path::new("r.html"));
         assert!(page.contains("surflux bake: &lt;i&gt;.usda") && !page.contains("<i>"));
-        assert!(page.contains("occlusion, irradiance"));
+        assert!(page.contains("occlusion, irradiance") && page.contains("<code>0.03</code>"));
         assert!(page.contains("<td class=\"n over\">3.40 %</td>"), "{page}");
     }
 }

@@ -14,13 +14,16 @@ use crate::writers::image::png_to_look_at;
 use std::path::Path;
 
 /// Pixels across, at most.
-pub(super) const WIDTH: u32 = 640;
+const WIDTH: u32 = 640;
 
 /// Rays a receiver of a picture without reflected light: enough to look at.
 const RAYS: u32 = 256;
 
+/// Samples along a pixel's side of such a picture, at most.
+pub(super) const PIXEL_SAMPLES: u32 = 2;
+
 /// Title of the picture without reflected light.
-pub(super) const WITHOUT: &str = "without reflected light";
+const WITHOUT: &str = "without reflected light";
 
 /// One picture.
 #[derive(Debug, Clone)]
