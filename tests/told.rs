@@ -73,8 +73,8 @@ import OpenImageIO as oiio
 folder = sys.argv[1]
 
 def channels(name):
-    with OpenEXR.File(os.path.join(folder, name), separate_channels=True) as f:
-        return {k: np.array(v.pixels, np.float32) for k, v in f.channels().items()}
+    file = OpenEXR.File(os.path.join(folder, name), separate_channels=True)
+    return {k: np.array(v.pixels, np.float32) for k, v in file.channels().items()}
 
 def png(data):
     path = os.path.join(folder, 'shot.png')
@@ -97,7 +97,7 @@ class Page(HTMLParser):
 page = Page(); page.feed(open(os.path.join(folder, 'told.html'), encoding='utf-8').read())
 titles = [title for title, _ in page.images]
 assert titles == ['color', 'color without reflected light', 'occlusion'], titles
-assert page.links == ['told.exr', 'told_thumbnail.png', 'told.html'] or page.links == ['told.exr', 'told_thumbnail.png'], page.links
+assert page.links == ['told.exr', 'told_thumbnail.png'], page.links
 for word in ('receivers', 'image', '48', 'rays', 'Warnings', '--pixel-samples'):
     assert word in page.text, word
 shots = [png(base64.b64decode(src.split(',', 1)[1])) for _, src in page.images]
