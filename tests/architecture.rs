@@ -178,7 +178,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("ctrlc", &["cli"]),
     ("anyhow", &["cli", "writers"]),
     ("gltf", &["exchange"]),
-    ("maud", &["verify", "view"]),
+    ("maud", &["verify", "view", "writers", "pipeline"]),
     ("rustix", &["pilot", "stage", "recipes"]),
     ("glob", &["recipes"]),
     ("twox_hash", &["recipes"]),

@@ -1,9 +1,10 @@
 //! Arguments as typed → a [`Job`] as meant.
 
 use super::args::{
-    AxisName, BakeArgs, BouncesArg, ConvertArgs, EngineName, ExrLayout, GatherArgs, InfoArgs,
-    InstancesName, InterpolateName, InterpolationName, JobCommand, JobName, LoadName, OutputArgs,
-    PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs, ViewArgs,
+    AboutArgs, AxisName, BakeArgs, BouncesArg, ConvertArgs, EngineName, ExrLayout, GatherArgs,
+    InfoArgs, InstancesName, InterpolateName, InterpolationName, JobCommand, JobName, LoadName,
+    OutputArgs, PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
+    ViewArgs,
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
@@ -140,6 +141,19 @@ fn output_named(args: OutputArgs, name: &str, extensions: &[&str]) -> anyhow::Re
         path: args.output,
         no_clobber: args.no_clobber,
         dry_run: args.dry_run,
+        ..OutputJob::only(None)
+    })
+}
+
+/// What is told about a run besides its results.
+fn told(output: OutputJob, args: AboutArgs) -> anyhow::Result<OutputJob> {
+    if let Some(page) = &args.report {
+        check_extension(page, "--report", &["html"])?;
+    }
+    Ok(OutputJob {
+        report: args.report,
+        thumbnail: args.thumbnail,
+        ..output
     })
 }
 
@@ -169,7 +183,7 @@ fn points(args: PointsArgs, command_line: &[String]) -> anyhow::Result<PointsJob
     let SurfelArgs { spacing, surfels } = args.surfels;
     Ok(PointsJob {
         stage: stage(args.stage, command_line)?,
-        output: output(args.output, USD_EXTENSIONS)?,
+        output: told(output(args.output, USD_EXTENSIONS)?, args.about)?,
         bake: BakeSettings {
             spacing,
             surfels: surfels.unwrap_or(defaults.surfels),
@@ -314,7 +328,7 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
     Ok(BakeJob {
         stage,
         positions: args.positions,
-        output: output(args.output, USD_EXTENSIONS)?,
+        output: told(output(args.output, USD_EXTENSIONS)?, args.about)?,
         gather,
         interpolation: match args.interpolation {
             InterpolationName::Vertex => BakeInterpolation::Vertex,
@@ -350,7 +364,7 @@ fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob
     let gather = gather(args.gather, args.surfels)?;
     let job = RenderJob {
         stage,
-        output: output(args.output, &["exr"])?,
+        output: told(output(args.output, &["exr"])?, args.about)?,
         gather,
         camera: args.camera,
         image_width: args.image_width,

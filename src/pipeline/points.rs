@@ -4,7 +4,7 @@ use super::gather::dice;
 use super::job::PointsJob;
 use super::report::{Report, peak_memory_bytes, timed};
 use super::world::{Needs, with_world};
-use super::{Error, outputs, provenance};
+use super::{Error, outputs, provenance, shots};
 use crate::diagnostics::Diagnostics;
 use crate::stage;
 use crate::writers::usd::cloud::{CloudOptions, write};
@@ -52,6 +52,9 @@ pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, 
                 Ok(())
             },
         )?;
+    }
+    if let Some((_, path)) = frames.first().filter(|_| job.output.is_pictured()) {
+        shots::of_points((&job.stage, path), &mut report, diagnostics);
     }
     report.peak_memory_bytes = peak_memory_bytes(source.as_ref());
     Ok(report)

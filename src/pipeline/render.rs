@@ -6,7 +6,7 @@ use super::job::RenderJob;
 use super::report::{Report, peak_memory_bytes, timed};
 use super::view::{View, views};
 use super::world::{Needs, World, with_world};
-use super::{Error, outputs};
+use super::{Error, gather, outputs, shots};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::lens::Lens;
 use crate::receivers::sampling::Sampling;
@@ -41,7 +41,8 @@ pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, 
     } else {
         Needs::of_seen(&job.gather.aovs)
     };
-    for time in times {
+    for (index, time) in times.into_iter().enumerate() {
+        let is_first = index == 0;
         with_world(
             source.as_mut(),
             (&job.stage, time, needs),
@@ -52,7 +53,9 @@ pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, 
                     let written = files(&outputs::frame_path(&view.output, time), job);
                     outputs::check(&job.output, &written)?;
                     if !job.output.dry_run {
-                        render(world, &view, job, &written, (&mut *report, diagnostics))?;
+                        let shown = is_first && job.output.is_pictured();
+                        let asked = (job, shown);
+                        render(world, &view, asked, &written, (&mut *report, diagnostics))?;
                     }
                     report.outputs.extend(written);
                 }
@@ -76,7 +79,7 @@ fn files(exr: &Path, job: &RenderJob) -> Vec<PathBuf> {
 fn render(
     world: &World<'_>,
     view: &View,
-    job: &RenderJob,
+    (job, shown): (&RenderJob, bool),
     files: &[PathBuf],
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<(), Error> {
@@ -102,7 +105,7 @@ fn render(
         &job.gather,
         (&mut *report, diagnostics),
     )?;
-    timed(&mut report.seconds.write, || {
+    let images = timed(&mut report.seconds.write, || {
         let _phase = diagnostics.phase("write", "file", 0);
         let mut images = resolve(&results, &receivers.target);
         if !job.hide_lights {
@@ -114,8 +117,43 @@ fn render(
                 add_lights(&mut images, (world, Some((&group.name, &part))), seen);
             }
         }
-        write(&images, &info(world, view, job), job, files)
-    })
+        write(&images, &info(world, view, job), job, files)?;
+        Ok::<_, Error>(images)
+    })?;
+    if shown {
+        let pair = shots::paired(&view.aovs, &job.gather).filter(|_| job.output.report.is_some());
+        let plain = timed(&mut report.seconds.gather, || {
+            pair.map(|aov| without_reflections(world, view, (job, aov), diagnostics))
+        });
+        let plain = plain.transpose()?.flatten();
+        shots::of_render(&images, plain.as_ref(), (job, &view.output), report);
+    }
+    Ok(())
+}
+
+/// What a page shows beside `aov`: the same, small, before light is reflected.
+fn without_reflections(
+    world: &World<'_>,
+    view: &View,
+    (job, aov): (&RenderJob, Aov),
+    diagnostics: &Diagnostics,
+) -> Result<Option<AovImage>, Error> {
+    let view = &shots::small(view, aov);
+    let job = &RenderJob {
+        pixel_samples: job.pixel_samples.min(shots::PIXEL_SAMPLES),
+        ..job.clone()
+    };
+    let sampling = sampling(world, view, job);
+    let receivers = place(world, view, job, &sampling);
+    let asked = shots::without_reflections(&job.gather, aov);
+    let mut scratch = Report::new(&[]);
+    let run = (&mut scratch, diagnostics);
+    let results = gather::gather(world, &receivers, &asked.aovs, &asked, run)?;
+    let mut images = resolve(&results, &receivers.target);
+    if !job.hide_lights {
+        add_lights(&mut images, (world, None), (view, &sampling));
+    }
+    Ok(images.into_iter().next())
 }
 
 fn write(
