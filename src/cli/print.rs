@@ -127,13 +127,15 @@ pub(super) fn human_bytes(bytes: u64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use crate::pipeline::Report;
+
     #[test]
     fn only_what_a_job_has_is_told() {
-        let mut report = crate::pipeline::Report::new(&[]);
+        let told = |report: &Report| super::sizes(report).unwrap_or_default();
+        let mut report = Report::new(&[]);
         assert_eq!(super::sizes(&report), None);
         report.counts.surfels = 7;
         report.usd = "native".to_owned();
-        let told = |report| super::sizes(report).unwrap_or_default();
         assert_eq!(told(&report), "7 surfels (native)");
         report.counts.receivers = 3;
         report.set("gather", "rays");
