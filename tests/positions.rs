@@ -94,7 +94,7 @@ fn points_off_all_surfaces_see_what_closed_forms_say_and_keep_what_they_had() {
         stderr(&done)
     );
     let near = |found: f32, exact: f32, tolerance: f32| {
-        assert!((found - exact).abs() <= tolerance, "{found} {exact}")
+        assert!((found - exact).abs() <= tolerance, "{found} {exact}");
     };
     for (found, exact) in
         numbers(&layer, "primvars:occlusion")

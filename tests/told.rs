@@ -18,54 +18,8 @@ fn made(folder: &Path, command: &str, file: &str, more: &[&str]) -> serde_json::
     json(&run(&args))
 }
 
-#[test]
-fn a_page_shows_light_with_and_without_reflections_as_renders_have_it() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    let page = folder.join("told.html");
-    let page = page.to_str().expect("UTF-8");
-    let asked = [
-        "--image-width",
-        "48",
-        "--rays",
-        "64",
-        "--pixel-samples",
-        "2",
-        "--surfels",
-        "2000",
-    ];
-    let aov = ["--aov", "color,occlusion"];
-    let shown = ["--report", page, "--thumbnail"];
-    let told = made(
-        folder,
-        "render",
-        "told.exr",
-        &[&asked[..], &aov, &shown].concat(),
-    );
-    let outputs = told["outputs"].as_array().expect("a list").len();
-    assert_eq!(outputs, 3, "{told}");
-    assert_eq!(
-        files(folder),
-        ["told.exr", "told.html", "told_thumbnail.png"]
-    );
-    made(folder, "render", "same.exr", &[&asked[..], &aov].concat());
-    let plain = [
-        "--image-width",
-        "48",
-        "--pixel-samples",
-        "2",
-        "--aov",
-        "color",
-        "--bounces",
-        "0",
-    ];
-    made(
-        folder,
-        "render",
-        "plain.exr",
-        &[&plain[..], &["--rays", "256"]].concat(),
-    );
-    let script = r#"
+/// Compares the page in a folder with the renders there: `told.exr`, made with it, `same.exr` and `plain.exr` without.
+const AS_RENDERED: &str = r#"
 import base64, io, os, re, sys
 import numpy as np, OpenEXR
 from html.parser import HTMLParser
@@ -115,7 +69,55 @@ for shot, linear in ((shots[0], rgb(told)), (shots[1], rgb(plain))):
 assert shots[1].mean() < shots[0].mean() - 5
 assert png(open(os.path.join(folder, 'told_thumbnail.png'), 'rb').read()).shape == shots[0].shape
 "#;
-    python::run_python(script, &[folder.to_str().expect("UTF-8")]);
+
+#[test]
+fn a_page_shows_light_with_and_without_reflections_as_renders_have_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    let page = folder.join("told.html");
+    let page = page.to_str().expect("UTF-8");
+    let asked = [
+        "--image-width",
+        "48",
+        "--rays",
+        "64",
+        "--pixel-samples",
+        "2",
+        "--surfels",
+        "2000",
+    ];
+    let aov = ["--aov", "color,occlusion"];
+    let shown = ["--report", page, "--thumbnail"];
+    let told = made(
+        folder,
+        "render",
+        "told.exr",
+        &[&asked[..], &aov, &shown].concat(),
+    );
+    let outputs = told["outputs"].as_array().expect("a list").len();
+    assert_eq!(outputs, 3, "{told}");
+    assert_eq!(
+        files(folder),
+        ["told.exr", "told.html", "told_thumbnail.png"]
+    );
+    made(folder, "render", "same.exr", &[&asked[..], &aov].concat());
+    let plain = [
+        "--image-width",
+        "48",
+        "--pixel-samples",
+        "2",
+        "--aov",
+        "color",
+        "--bounces",
+        "0",
+    ];
+    made(
+        folder,
+        "render",
+        "plain.exr",
+        &[&plain[..], &["--rays", "256"]].concat(),
+    );
+    python::run_python(AS_RENDERED, &[folder.to_str().expect("UTF-8")]);
 }
 
 #[test]

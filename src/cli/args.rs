@@ -179,7 +179,7 @@ pub(super) struct AboutArgs {
     /// Write a page about the run: pictures with and without reflected light, settings, statistics, warnings, error.
     #[arg(long, value_name = "FILE.html")]
     pub(super) report: Option<PathBuf>,
-    /// Write a small picture of the first result beside the first output, as NAME_thumbnail.png.
+    /// Write a small picture of the first result beside the first output, as `NAME_thumbnail.png`.
     #[arg(long)]
     pub(super) thumbnail: bool,
 }

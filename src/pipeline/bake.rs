@@ -19,11 +19,8 @@ use std::path::{Path, PathBuf};
 
 pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
     let mut report = Report::new(&job.stage.command);
-    let path = job
-        .output
-        .path
-        .as_deref()
-        .unwrap_or_else(|| Path::new("bake.usdc"));
+    let path = job.output.path.as_deref();
+    let path = path.unwrap_or_else(|| Path::new("bake.usdc"));
     let planned = files(path);
     outputs::check(&job.output, &planned)?;
     if job.output.dry_run {

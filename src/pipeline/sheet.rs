@@ -77,7 +77,7 @@ fn error(report: &Report) -> Markup {
                 @if let Some(tolerance) = error.tolerance { "; asked for: " (percent(tolerance)) }
             }
             table { @for (aov, value) in &error.aovs {
-                tr { td { (aov) } td.n class=[misses(*value).then_some("over")] { (percent(*value)) } }
+                tr { td { (aov) } td.n.over[misses(*value)] { (percent(*value)) } }
             } }
         }
     }

@@ -98,7 +98,6 @@ pub struct Cell {
 #[expect(
     clippy::cast_precision_loss,
     clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
     reason = "rows and columns are below 2^16, products of three below 2^50 and summed as u64"
 )]
 impl Part {

@@ -137,9 +137,7 @@ fn hash(cell: IVec3) -> usize {
     let sum = mixed(cell.x, 0x9e37_79b9_7f4a_7c15)
         ^ mixed(cell.y, 0xc2b2_ae3d_27d4_eb4f)
         ^ mixed(cell.z, 0x1656_67b1_9e37_79f9);
-    #[expect(clippy::cast_possible_truncation, reason = "the high half")]
-    let high = (sum >> 32) as usize;
-    high
+    (sum >> 32) as usize
 }
 
 /// Edges of a mesh that maps are blind at: ends of each.
@@ -339,7 +337,10 @@ mod tests {
         let mut mesh = mesh(&[[a, b, c], [a, c, d], [d, d + up, a + up], [d, a + up, a]]);
         if is_welded {
             let first_at = |p: Vec3| mesh.positions.iter().position(|&q| q == p);
-            let first = |i: u32| first_at(mesh.positions[i as usize]).map_or(i, |k| k as u32);
+            let first = |i: u32| {
+                let place = first_at(mesh.positions[i as usize]);
+                place.and_then(|k| u32::try_from(k).ok()).unwrap_or(i)
+            };
             mesh.triangles = mesh.triangles.iter().map(|t| t.map(first)).collect();
         }
         mesh.double_sided = false;

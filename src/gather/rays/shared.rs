@@ -53,6 +53,9 @@ struct Packet {
     mirroring: u64,
 }
 
+/// What each of a packet hits along one direction.
+type Found = [Option<Hit>; PACKET];
+
 /// What a packet sees along one direction.
 #[derive(Debug, Clone, Copy)]
 struct Along {
@@ -103,7 +106,7 @@ impl Looks<'_> {
         &self,
         packet: &Packet,
         direction: Vec3,
-        (found, hits): (&mut [Option<Hit>; PACKET], &mut [Vec<(f32, Outgoing)>]),
+        (found, hits): (&mut Found, &mut [Vec<(f32, Outgoing)>]),
     ) -> Along {
         let facing = packet.facing(direction);
         let mirrored = packet.below_plane(direction) & facing;
