@@ -14,8 +14,8 @@ use surflux::bounce::{BounceClouds, Bounces, CoarseCloud, bounce};
 use surflux::diagnostics::{Cancelled, Diagnostics};
 
 use surflux::gather::{
-    GatherScene, HitLight, RadianceSource, RaysEngine, RaysFactory, RaysSettings, Reference,
-    estimate, gather,
+    DicedSurfels, GatherScene, HitLight, RadianceSource, RaysEngine, RaysFactory, RaysSettings,
+    Reference, estimate, gather,
 };
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::math::sh::Sh9;
@@ -80,11 +80,7 @@ impl<'a> Setup<'a> {
         receivers: &Receivers,
         aovs: &[Aov],
     ) -> Results {
-        let source = RadianceSource::Baked {
-            cloud,
-            dice: &baked.dice,
-            near: None,
-        };
+        let source = RadianceSource::Baked(DicedSurfels::new(cloud, &baked.dice, None));
         let engine = RaysEngine::new(&self.tracer, Some(source), RaysSettings::default());
         gather(
             self.gather_scene(),
@@ -591,11 +587,7 @@ fn no_light_gets_into_a_gap_thinner_than_surfels_are_wide() {
     let receivers = receivers_at(&scene, &points);
     assert!(receivers.normal.iter().all(|normal| normal.y < -0.99));
     let brightest = |near: Option<HitLight<'_>>| {
-        let source = RadianceSource::Baked {
-            cloud: &baked.cloud,
-            dice: &baked.dice,
-            near,
-        };
+        let source = RadianceSource::Baked(DicedSurfels::new(&baked.cloud, &baked.dice, near));
         let engine = RaysEngine::new(&setup.tracer, Some(source), RaysSettings::default());
         let aovs = [Aov::IrradianceIndirect];
         let found = gather(

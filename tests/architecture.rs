@@ -14,7 +14,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
     // tools
     ("image", &["math", "diagnostics", "scene"]),
     ("trace", &["math", "scene"]),
-    ("shading", &["math", "diagnostics", "scene", "image"]),
+    (
+        "shading",
+        &["math", "diagnostics", "scene", "image", "trace"],
+    ),
     (
         "lighting",
         &["math", "diagnostics", "scene", "image", "shading", "trace"],
@@ -175,7 +178,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("ctrlc", &["cli"]),
     ("anyhow", &["cli", "writers"]),
     ("gltf", &["exchange"]),
-    ("maud", &["verify", "view"]),
+    ("maud", &["verify", "view", "writers", "pipeline"]),
     ("rustix", &["pilot", "stage", "recipes"]),
     ("glob", &["recipes"]),
     ("twox_hash", &["recipes"]),

@@ -154,6 +154,36 @@ fn a_mirror_shows_the_wall_behind_the_eye() {
     assert_eq!(baked(&floor(MIRROR, wall), "-1,-1,0"), [Vec3::ZERO; 4]);
 }
 
+/// Surfels of metal are black: what it reflects is found along the ray.
+#[test]
+fn a_mirror_shows_what_a_mirror_shows() {
+    let wall = r#"def Mesh "wall" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {
+        point3f[] points = [(3, -50, -50), (3, -50, 50), (3, 50, 50), (3, 50, -50)]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        uniform token subdivisionScheme = "none"
+        rel material:binding = </World/wall/Metal>
+        def Material "Metal"
+        {
+            token outputs:surface.connect = </World/wall/Metal/surface.outputs:surface>
+            def Shader "surface"
+            {
+                uniform token info:id = "UsdPreviewSurface"
+                color3f inputs:diffuseColor = (0.5, 0.5, 0.5)
+                float inputs:metallic = 1
+                float inputs:roughness = 0
+                token outputs:surface
+            }
+        }
+    }"#;
+    let one = floor(MIRROR, &format!("{wall}\n{SKY}"));
+    for value in baked(&one, "1,-1,0") {
+        let exact = Vec3::new(0.45, 0.35, 0.25);
+        assert!(value.abs_diff_eq(exact, 5e-3), "{value}");
+    }
+}
+
 #[test]
 fn a_bake_without_an_eye_is_a_usage_error() {
     let (folder, path) = stage(&floor(MIRROR, SKY));

@@ -9,7 +9,9 @@ use scenes::{SceneBuilder, Side, ball_in_a_box, bowl, plate, receivers_in};
 use std::f32::consts::PI;
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::diagnostics::Diagnostics;
-use surflux::gather::{GatherScene, RadianceSource, RaysEngine, RaysSettings, gather};
+use surflux::gather::{
+    DicedSurfels, GatherScene, RadianceSource, RaysEngine, RaysSettings, gather,
+};
 use surflux::interpolate::{self, Gathering, InterpolateSettings, Interpolated};
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::receivers::Receivers;
@@ -41,11 +43,7 @@ fn spots(scene: &Scene, tracer: &Tracer) -> Baked {
 }
 
 fn source(baked: &Baked) -> RadianceSource<'_> {
-    RadianceSource::Baked {
-        cloud: &baked.cloud,
-        dice: &baked.dice,
-        near: None,
-    }
+    RadianceSource::Baked(DicedSurfels::new(&baked.cloud, &baked.dice, None))
 }
 
 fn rays(rays: u32, turn: f32) -> RaysSettings {

@@ -34,10 +34,16 @@ fn grouped() -> (tempfile::TempDir, String) {
 
 /// Colors that a bake of the floor and one teapot of `stage` wrote, by primvar, all meshes after each other.
 fn baked(stage: &str, flags: &[&str]) -> BTreeMap<String, Vec<f32>> {
+    baked_by(stage, &["--rays", "32", "--surfels", "5000"], flags)
+}
+
+/// The same by other means than few rays and surfels.
+fn baked_by(stage: &str, means: &[&str], flags: &[&str]) -> BTreeMap<String, Vec<f32>> {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("out.usda");
     let mut args = vec!["bake", stage, "-o", out.to_str().expect("UTF-8")];
-    args.extend(["--usd", "native", "--rays", "32", "--surfels", "5000"]);
+    args.extend(["--usd", "native"]);
+    args.extend(means);
     args.extend(["--bounces", "2", "--view", "0,-1,-1"]);
     args.extend(flags);
     let result = run(&args);
@@ -80,6 +86,41 @@ fn at_points_the_parts_add_up_to_the_whole() {
                 "{aov} {i}: {sum} {whole}"
             );
         }
+    }
+}
+
+/// A pilot measures for the whole; its parts are gathered with what it found.
+#[test]
+fn with_a_tolerance_the_parts_add_up_and_the_whole_keeps_it() {
+    let (_folder, stage) = grouped();
+    let aovs = ["--aov", "irradiance_direct,irradiance_indirect"];
+    let groups = ["--light-groups", "cold", "--light-groups", "warm=/Box/ball"];
+    let found = baked_by(
+        &stage,
+        &["--tolerance", "0.05"],
+        &[&aovs[..], &groups].concat(),
+    );
+    let exact = baked_by(&stage, &["--rays", "2048", "--surfels", "50000"], &aovs);
+    for aov in ["irradiance_direct", "irradiance_indirect"] {
+        let whole = &found[aov];
+        let parts = ["cold", "warm", "default"].map(|part| &found[&format!("{aov}_{part}")]);
+        let most = whole
+            .iter()
+            .fold(0.0_f32, |most, value| most.max(value.abs()));
+        for (i, value) in whole.iter().enumerate() {
+            let sum: f32 = parts.iter().map(|part| part[i]).sum();
+            assert!((sum - value).abs() <= 1e-5 * most, "{aov}: {sum} {value}");
+        }
+        let square = |x: f32| f64::from(x).powi(2);
+        let off: f64 = whole
+            .iter()
+            .zip(&exact[aov])
+            .map(|(a, b)| square(a - b))
+            .sum();
+        let mean: f64 = exact[aov].iter().map(|value| f64::from(*value)).sum();
+        let count = whole.len() as f64;
+        let relative = (off / count).sqrt() / (mean / count);
+        assert!(relative < 0.06, "{aov}: {relative}");
     }
 }
 

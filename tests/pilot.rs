@@ -19,7 +19,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::diagnostics::{Cancelled, Diagnostics};
 use surflux::gather::maps::{self, MapsPlan, MapsSettings};
-use surflux::gather::{GatherScene, RadianceSource, RaysEngine, RaysSettings};
+use surflux::gather::{DicedSurfels, GatherScene, RadianceSource, RaysEngine, RaysSettings};
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::pilot::error::{Truth, statistics, values};
 use surflux::pilot::{Candidate, LightScenes, Maps, Method, Outcome, Pick, Pilot, choose};
@@ -130,11 +130,8 @@ impl<'a> Setup<'a> {
     }
 
     fn rays(&self, rays: u32, turn: f32) -> RaysEngine<'_> {
-        let source = RadianceSource::Baked {
-            cloud: &self.baked.cloud,
-            dice: &self.baked.dice,
-            near: None,
-        };
+        let source =
+            RadianceSource::Baked(DicedSurfels::new(&self.baked.cloud, &self.baked.dice, None));
         let settings = RaysSettings {
             rays,
             turn,

@@ -10,8 +10,8 @@ use std::f32::consts::PI;
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::diagnostics::Diagnostics;
 use surflux::gather::{
-    Engine, GatherScene, Hemisphere, HitLight, RadianceSource, RasterEngine, RasterSettings,
-    RaysEngine, RaysSettings, gather,
+    DicedSurfels, Engine, GatherScene, Hemisphere, HitLight, RadianceSource, RasterEngine,
+    RasterSettings, RaysEngine, RaysSettings, gather,
 };
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::math::Bounds3;
@@ -83,11 +83,8 @@ impl<'a> Fixture<'a> {
     }
 
     fn rays(&self, receivers: &Receivers, rays: u32) -> Vec<f64> {
-        let source = RadianceSource::Baked {
-            cloud: &self.baked.cloud,
-            dice: &self.baked.dice,
-            near: None,
-        };
+        let source =
+            RadianceSource::Baked(DicedSurfels::new(&self.baked.cloud, &self.baked.dice, None));
         let settings = RaysSettings {
             rays,
             turn: 0.3,
@@ -347,11 +344,7 @@ fn dark_surfels_that_receivers_touch_are_lit_anew() {
     let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
     let (tracer, dice) = (&fixture.tracer, &fixture.baked.dice);
     let light = HitLight::new(&shader, tracer, &lighting, dice);
-    let source = RadianceSource::Baked {
-        cloud: &fixture.baked.cloud,
-        dice,
-        near: light,
-    };
+    let source = RadianceSource::Baked(DicedSurfels::new(&fixture.baked.cloud, dice, light));
     let settings = RaysSettings {
         rays: 4096,
         turn: 0.3,

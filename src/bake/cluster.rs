@@ -90,10 +90,15 @@ impl<'a> Cluster<'a> {
                 v: MIDDLE.z,
                 footprint,
             });
-            mean.albedo += share * surface.albedo;
-            mean.emission += share * surface.emission;
-            mean.opacity += share * surface.opacity;
+            let covered = share * surface.opacity;
+            mean.albedo += covered * surface.albedo;
+            mean.emission += covered * surface.emission;
+            mean.opacity += covered;
             normal += share * side.middle(t).normal;
+        }
+        if mean.opacity > 0.0 {
+            mean.albedo /= mean.opacity;
+            mean.emission /= mean.opacity;
         }
         let mut point = side.middle(self.central);
         let normal = normal.normalize_or(point.normal);

@@ -23,6 +23,8 @@ const STEEPEST: f32 = 0.1;
 /// What shades and lights a point; apart from the modules that do, so that tests can put closed forms in their place.
 #[derive(Clone, Copy)]
 pub(super) struct Look<'a> {
+    /// True if light passes through a prim.
+    pub(super) is_screen: &'a (dyn Fn(PrimId) -> bool + Sync),
     /// Albedo and emission.
     pub(super) surface: &'a (dyn Fn(&SurfacePoint) -> Surface + Sync),
     /// Irradiance of sources whose shadows may be sharp.

@@ -3,7 +3,8 @@
 //! One surfel a cell and side that can be seen (`sides`). Large triangles are cut into cells: exact area and centroid,
 //! the plane's normal, a radius that reaches the cell's farthest corner. Small triangles are clustered into cells
 //! (`cluster`), the same ones for all instances of a mesh that are of a size (`shapes`). Albedo and emission are averaged over the cell by the shader;
-//! emission is of the front only, while every surface reflects on both sides. Light is averaged as `light` says.
+//! emission is of the front only, while every surface reflects on both sides. What is cut out or transparent of a cell is not
+//! in its area. Light is averaged as `light` says.
 
 mod blocks;
 mod cluster;
@@ -67,7 +68,9 @@ pub fn bake(
     diagnostics: &Diagnostics,
 ) -> Result<Baked, Cancelled> {
     let lighting = lighting.for_surfels();
+    let opacity = shader.opacity();
     let look = Look {
+        is_screen: &|prim| opacity.as_ref().is_some_and(|all| all.is_screen(prim)),
         surface: &|point| shader.surface(point),
         lights: &|point| lighting.lights(tracer, point),
         glance: &|point, number| lighting.glance(tracer, point, number),
@@ -82,7 +85,7 @@ fn bake_with(
     settings: &BakeSettings,
     diagnostics: &Diagnostics,
 ) -> Result<Baked, Cancelled> {
-    let sides = sides::of_prims(scene);
+    let sides = sides::of_prims(scene, look.is_screen);
     let (dice, spacing) = spacing::dice(scene, &sides, settings, diagnostics)?;
     diagnostics.check()?;
     let mut cloud = empty_cloud(scene, dice.surfel_count(), spacing);
@@ -287,7 +290,7 @@ impl BlockColumns<'_> {
         self.position[i] = cell.point.position;
         self.normal[i] = cell.normal;
         self.radius[i] = cell.radius.max(f32::MIN_POSITIVE);
-        self.area[i] = cell.area;
+        self.area[i] = cell.area * cell.surface.opacity;
         self.albedo[i] = cell.surface.albedo;
         self.emission[i] = if side.back {
             Vec3::ZERO

@@ -2,7 +2,7 @@
 //!
 //! Front only where the back cannot be seen or shows no light: the inside of a closed mesh that nothing is in. A
 //! closed mesh turned inside out (negative volume) with something inside is a room: its front is the inside, which
-//! is all that is seen. Everything else gets both sides. "Something inside" is the center of another prim's bounds,
+//! is all that is seen. Everything else gets both sides, and so do prims that are seen through. "Something inside" is the center of another prim's bounds,
 //! a light or a camera within the mesh's bounds: cautious, as it costs a few surfels where it is wrong.
 
 use crate::math::Bounds3;
@@ -11,7 +11,7 @@ use crate::surfels::Sides;
 use glam::Vec3;
 
 /// The sides of every prim, in order. O(n log n) to O(n^(5/3)) in prims, plus one pass over all distinct meshes.
-pub(super) fn of_prims(scene: &Scene) -> Vec<Sides> {
+pub(super) fn of_prims(scene: &Scene, is_screen: &dyn Fn(PrimId) -> bool) -> Vec<Sides> {
     let bounds: Vec<Bounds3> = scene
         .prims
         .iter()
@@ -24,7 +24,7 @@ pub(super) fn of_prims(scene: &Scene) -> Vec<Sides> {
         let is_room = volumes[prim.mesh.index()] < 0.0;
         let is_empty = !mesh.closed || !contents.any_in(&bounds[id as usize], PrimId(id));
         // Closed: outside of a solid, inside of a room. A solid turned inside out by mistake shows its back.
-        if mesh.closed && is_room != is_empty {
+        if mesh.closed && is_room != is_empty && !is_screen(PrimId(id)) {
             Sides::Front
         } else {
             Sides::Both

@@ -112,6 +112,7 @@ fn bake_lit(
     lights: &(dyn Fn(&ShadePoint) -> Vec3 + Sync),
 ) -> Baked {
     let look = Look {
+        is_screen: &|_| false,
         surface: &|_| GRAY,
         lights,
         glance: &|point, _| lights(point),
@@ -191,12 +192,9 @@ fn disks_of_surfels_cover_every_point_of_their_triangle() {
 #[test]
 fn a_room_has_surfels_inside_and_a_solid_outside() {
     let sides = |meshes: Vec<Mesh>| {
-        sides::of_prims(&scene(
-            meshes
-                .into_iter()
-                .map(|mesh| (mesh, Affine3A::IDENTITY))
-                .collect(),
-        ))
+        let meshes = meshes.into_iter();
+        let scene = scene(meshes.map(|mesh| (mesh, Affine3A::IDENTITY)).collect());
+        sides::of_prims(&scene, &|_| false)
     };
     let inside_out = |size| Mesh {
         triangles: cube(size)
@@ -216,7 +214,15 @@ fn a_room_has_surfels_inside_and_a_solid_outside() {
     // A small box off the middle of the large one lies in it, but not the other way round.
     let off = (cube(1.0), Affine3A::from_translation(Vec3::X * 3.0));
     let scene = scene(vec![(cube(9.0), Affine3A::IDENTITY), off]);
-    assert_eq!(sides::of_prims(&scene), [Sides::Both, Sides::Front]);
+    assert_eq!(
+        sides::of_prims(&scene, &|_| false),
+        [Sides::Both, Sides::Front]
+    );
+    // The back of what is seen through is seen.
+    assert_eq!(
+        sides::of_prims(&scene, &|prim| prim == crate::scene::PrimId(1)),
+        [Sides::Both, Sides::Both]
+    );
 }
 
 #[test]
@@ -322,6 +328,7 @@ fn a_cancelled_bake_ends() {
     let diagnostics = Diagnostics::default();
     diagnostics.cancel_token().cancel();
     let look = Look {
+        is_screen: &|_| false,
         surface: &|_| GRAY,
         lights: &|_| Vec3::ZERO,
         glance: &|_, _| Vec3::ZERO,
@@ -537,6 +544,7 @@ fn clusters_reflect_and_emit_what_their_triangles_do() {
     let scene = scene(vec![(ball(60), Affine3A::IDENTITY)]);
     let bake = |settings: BakeSettings| {
         let look = Look {
+            is_screen: &|_| false,
             surface: &surface,
             lights: &lights,
             glance: &|point, _| lights(point),

@@ -10,7 +10,13 @@ use std::path::PathBuf;
 
 /// Point-based global illumination for USD stages.
 #[derive(Debug, Parser)]
-#[command(name = "surflux", version, about, max_term_width = 120)]
+#[command(
+    name = "surflux",
+    version,
+    about,
+    max_term_width = 120,
+    after_help = "Every flag of a command is an environment variable too: --image-width is SURFLUX_IMAGE_WIDTH."
+)]
 pub(super) struct Cli {
     #[command(subcommand)]
     pub(super) command: Command,
@@ -167,6 +173,17 @@ pub(super) struct OutputArgs {
     pub(super) dry_run: bool,
 }
 
+/// Flags of the commands that tell about their run.
+#[derive(Debug, Args)]
+pub(super) struct AboutArgs {
+    /// Write a page about the run: pictures with and without reflected light, settings, statistics, warnings, error.
+    #[arg(long, value_name = "FILE.html")]
+    pub(super) report: Option<PathBuf>,
+    /// Write a small picture of the first result beside the first output, as `NAME_thumbnail.png`.
+    #[arg(long)]
+    pub(super) thumbnail: bool,
+}
+
 /// Flags of dicing.
 #[derive(Debug, Args)]
 pub(super) struct SurfelArgs {
@@ -248,6 +265,8 @@ pub(super) struct PointsArgs {
     #[command(flatten)]
     pub(super) output: OutputArgs,
     #[command(flatten)]
+    pub(super) about: AboutArgs,
+    #[command(flatten)]
     pub(super) surfels: SurfelArgs,
 }
 
@@ -258,12 +277,18 @@ pub(super) struct BakeArgs {
     #[command(flatten)]
     pub(super) output: OutputArgs,
     #[command(flatten)]
+    pub(super) about: AboutArgs,
+    #[command(flatten)]
     pub(super) surfels: SurfelArgs,
     #[command(flatten)]
     pub(super) gather: GatherArgs,
     /// Layout of the primvars on meshes.
     #[arg(long, value_enum, default_value_t = InterpolationName::Vertex)]
     pub(super) interpolation: InterpolationName,
+    /// Compute at the points of this file (UsdGeomPoints with normals) instead of those of meshes; they are written to the
+    /// output with the results as primvars.
+    #[arg(long, value_name = "CLOUD")]
+    pub(super) positions: Option<PathBuf>,
     /// What to do about meshes below instances.
     #[arg(long, value_enum, default_value_t = InstancesName::Shared)]
     pub(super) instances: InstancesName,
@@ -282,6 +307,8 @@ pub(super) struct RenderArgs {
     pub(super) stage: StageArgs,
     #[command(flatten)]
     pub(super) output: OutputArgs,
+    #[command(flatten)]
+    pub(super) about: AboutArgs,
     #[command(flatten)]
     pub(super) surfels: SurfelArgs,
     #[command(flatten)]

@@ -1,15 +1,16 @@
 //! Arguments as typed → a [`Job`] as meant.
 
 use super::args::{
-    AxisName, BakeArgs, BouncesArg, ConvertArgs, EngineName, ExrLayout, GatherArgs, InfoArgs,
-    InstancesName, InterpolateName, InterpolationName, JobCommand, JobName, LoadName, OutputArgs,
-    PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs, ViewArgs,
+    AboutArgs, AxisName, BakeArgs, BouncesArg, ConvertArgs, EngineName, ExrLayout, GatherArgs,
+    InfoArgs, InstancesName, InterpolateName, InterpolationName, JobCommand, JobName, LoadName,
+    OutputArgs, PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
+    ViewArgs,
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
     BakeJob, BakeView, Bounces, ConvertJob, Dome, Encoding, EngineChoice, Falloff, GatherJob,
     InfoJob, Job, MapsSettings, OcclusionKind, OutputJob, PointsJob, Purposed, RenderJob, StageJob,
-    VerifyJob, ViewJob,
+    VerifyJob, ViewJob, unknown_at_points,
 };
 use crate::results::{Aov, BakeInterpolation};
 use crate::scene::{Purpose, UpAxis};
@@ -140,6 +141,19 @@ fn output_named(args: OutputArgs, name: &str, extensions: &[&str]) -> anyhow::Re
         path: args.output,
         no_clobber: args.no_clobber,
         dry_run: args.dry_run,
+        ..OutputJob::only(None)
+    })
+}
+
+/// What is told about a run besides its results.
+fn told(output: OutputJob, args: AboutArgs) -> anyhow::Result<OutputJob> {
+    if let Some(page) = &args.report {
+        check_extension(page, "--report", &["html"])?;
+    }
+    Ok(OutputJob {
+        report: args.report,
+        thumbnail: args.thumbnail,
+        ..output
     })
 }
 
@@ -169,7 +183,7 @@ fn points(args: PointsArgs, command_line: &[String]) -> anyhow::Result<PointsJob
     let SurfelArgs { spacing, surfels } = args.surfels;
     Ok(PointsJob {
         stage: stage(args.stage, command_line)?,
-        output: output(args.output, USD_EXTENSIONS)?,
+        output: told(output(args.output, USD_EXTENSIONS)?, args.about)?,
         bake: BakeSettings {
             spacing,
             surfels: surfels.unwrap_or(defaults.surfels),
@@ -306,9 +320,15 @@ fn bake(args: BakeArgs, command_line: &[String]) -> anyhow::Result<BakeJob> {
             "--aov {aov}: a bake has no eye to reflect to (add --view X,Y,Z or --view CAMERA, or use render)"
         );
     }
+    if let Some(aov) = (args.positions.as_ref()).and_then(|_| unknown_at_points(&gather.aovs)) {
+        bail!(
+            "--aov {aov}: the points of --positions lie on no surface that is known and have no material"
+        );
+    }
     Ok(BakeJob {
         stage,
-        output: output(args.output, USD_EXTENSIONS)?,
+        positions: args.positions,
+        output: told(output(args.output, USD_EXTENSIONS)?, args.about)?,
         gather,
         interpolation: match args.interpolation {
             InterpolationName::Vertex => BakeInterpolation::Vertex,
@@ -344,7 +364,7 @@ fn render(args: RenderArgs, command_line: &[String]) -> anyhow::Result<RenderJob
     let gather = gather(args.gather, args.surfels)?;
     let job = RenderJob {
         stage,
-        output: output(args.output, &["exr"])?,
+        output: told(output(args.output, &["exr"])?, args.about)?,
         gather,
         camera: args.camera,
         image_width: args.image_width,

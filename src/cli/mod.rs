@@ -15,12 +15,13 @@ mod print;
 pub mod progress;
 mod run;
 mod validate;
+mod variables;
 mod verify;
 
 use crate::diagnostics::{CancelToken, Diagnostics};
 use crate::pipeline;
 use args::{Cli, Command, StageArgs};
-use clap::Parser;
+use clap::FromArgMatches;
 use std::process::ExitCode;
 
 /// Exit code of a run that failed.
@@ -32,7 +33,8 @@ const USAGE: u8 = 2;
 pub fn main() -> ExitCode {
     quiet_reader();
     let command_line: Vec<String> = std::env::args().collect();
-    let command = match Cli::parse().command {
+    let typed = Cli::from_arg_matches(&variables::command().get_matches());
+    let command = match typed.unwrap_or_else(|error| error.exit()).command {
         Command::Job(command) => command,
         Command::Run(args) => return exit_code(run::run(args)),
         Command::Completions { shell } => return exit_code(about::completions(shell)),

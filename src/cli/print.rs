@@ -23,29 +23,26 @@ pub(super) fn report(report: &Report, json: bool, quiet: bool) -> anyhow::Result
 }
 
 fn summary(report: &Report) {
-    let counts = &report.counts;
+    if let Some(sizes) = sizes(report) {
+        eprintln!("{sizes}");
+    }
     let seconds = &report.seconds;
+    let phases = [
+        ("read", seconds.read),
+        ("points", seconds.points),
+        ("octree", seconds.octree),
+        ("gather", seconds.gather),
+        ("write", seconds.write),
+    ];
+    let phases = phases.iter().filter(|(_, seconds)| *seconds > 0.0);
+    let phases: Vec<String> = phases
+        .map(|(name, seconds)| format!("{name} {seconds:.2}"))
+        .collect();
     eprintln!(
-        "{} prims, {} triangles, {} surfels, {} receivers ({}, engine {})",
-        counts.prims,
-        counts.triangles,
-        counts.surfels,
-        counts.receivers,
-        report.usd,
-        report
-            .settings
-            .get("gather")
-            .and_then(|name| name.as_str())
-            .unwrap_or("none"),
-    );
-    eprintln!(
-        "{:.2} s: read {:.2}, points {:.2}, octree {:.2}, gather {:.2}, write {:.2}{}",
+        "{:.2} s{}{}{}",
         seconds.total,
-        seconds.read,
-        seconds.points,
-        seconds.octree,
-        seconds.gather,
-        seconds.write,
+        if phases.is_empty() { "" } else { ": " },
+        phases.join(", "),
         report
             .peak_memory_bytes
             .map(|bytes| format!("; peak memory {}", human_bytes(bytes)))
@@ -61,6 +58,36 @@ fn summary(report: &Report) {
     for output in &report.outputs {
         eprintln!("wrote {}", output.display());
     }
+}
+
+/// What there was, as far as the job has it: `view` has no receivers and no engine, a dry run nothing.
+fn sizes(report: &Report) -> Option<String> {
+    let counts = &report.counts;
+    let sizes = [
+        (counts.prims, "prims"),
+        (counts.triangles, "triangles"),
+        (counts.surfels, "surfels"),
+        (counts.receivers, "receivers"),
+    ];
+    let sizes = sizes.iter().filter(|(count, _)| *count > 0);
+    let parts: Vec<String> = sizes
+        .map(|(count, what)| format!("{count} {what}"))
+        .collect();
+    if parts.is_empty() {
+        return None;
+    }
+    let engine = report.settings.get("gather").and_then(|name| name.as_str());
+    let how: Vec<String> = [
+        (!report.usd.is_empty()).then(|| report.usd.clone()),
+        engine.map(|name| format!("engine {name}")),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    Some(match how.is_empty() {
+        true => parts.join(", "),
+        false => format!("{} ({})", parts.join(", "), how.join(", ")),
+    })
 }
 
 /// `warnings` grouped by kind on stderr.
@@ -100,6 +127,24 @@ pub(super) fn human_bytes(bytes: u64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use crate::pipeline::Report;
+
+    #[test]
+    fn only_what_a_job_has_is_told() {
+        let told = |report: &Report| super::sizes(report).unwrap_or_default();
+        let mut report = Report::new(&[]);
+        assert_eq!(super::sizes(&report), None);
+        report.counts.surfels = 7;
+        report.usd = "native".to_owned();
+        assert_eq!(told(&report), "7 surfels (native)");
+        report.counts.receivers = 3;
+        report.set("gather", "rays");
+        assert_eq!(
+            told(&report),
+            "7 surfels, 3 receivers (native, engine rays)"
+        );
+    }
+
     #[test]
     fn bytes_are_told_in_binary_units() {
         assert_eq!(super::human_bytes(512), "512 B");

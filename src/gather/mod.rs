@@ -17,7 +17,7 @@ pub(crate) mod testing;
 pub use at_hits::HitLight;
 pub use estimate::{ErrorEstimate, Reference, estimate};
 pub use known::KnownEngine;
-pub use radiance::{LoadedCloud, RadianceSource};
+pub use radiance::{DicedSurfels, LoadedCloud, RadianceSource};
 pub use raster::{RasterEngine, RasterSettings};
 pub use rays::{RaysEngine, RaysFactory, RaysSettings};
 

@@ -37,6 +37,10 @@ pub(super) trait RayQuery: Sync + Debug {
                 .flatten();
         }
     }
+    /// The tracer that knows what lies behind surfaces that let light through; `None` where there are no such.
+    fn screens(&self) -> Option<&Tracer> {
+        None
+    }
     /// `position` lifted along the unit `normal` so that rays do not meet the surface they start from.
     fn lift(&self, position: Vec3, normal: Vec3) -> Vec3;
 }
@@ -68,6 +72,10 @@ impl RayQuery for Tracer {
         hits: &mut [Option<Hit>],
     ) {
         Self::closest_along(self, direction, origins, asked, hits);
+    }
+
+    fn screens(&self) -> Option<&Tracer> {
+        self.has_screens().then_some(self)
     }
 
     fn lift(&self, position: Vec3, normal: Vec3) -> Vec3 {

@@ -5,11 +5,13 @@
 //! receiver's own normal. Both are the same everywhere, so there is error but no noise, and no seams.
 
 pub mod cone;
+mod glossy;
 pub mod lobe;
 mod shared;
 mod stand;
+mod through;
 
-use super::radiance::{Outgoing, RadianceSource};
+use super::radiance::{DicedSurfels, RadianceSource};
 use super::ray_query::RayQuery;
 use super::{Engine, EngineFactory, Hemisphere};
 use crate::math::sequence;
@@ -23,6 +25,7 @@ use shared::Looks;
 use stand::Stand;
 use std::f32::consts::PI;
 use std::ops::Range;
+use through::Look;
 
 /// How receivers are sampled by rays.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -177,35 +180,25 @@ impl<'a> RaysEngine<'a> {
         let origin = self.query.lift(receivers.position[i], stand.lift);
         let frame = sequence::transported_frame(receivers.normal[i]);
         let weight = PI / pattern.len() as f32;
+        let (look, mut layers) = (self.look(), Vec::new());
         for &local in pattern {
             let direction = stand.above_horizon(frame.to_world(local));
-            let (distance, radiance) = self.look(origin, direction);
-            let covered = distance.is_finite();
+            let sight = look.along(origin, direction, &mut layers);
             seen.direction.push(direction);
             seen.weight.push(weight);
-            seen.coverage.push(if covered { 1.0 } else { 0.0 });
-            seen.distance.push(distance);
-            seen.reflected.push(radiance.reflected);
-            seen.emitted.push(radiance.emitted);
+            seen.coverage.push(sight.coverage);
+            seen.distance.push(sight.distance);
+            seen.reflected.push(sight.light.reflected);
+            seen.emitted.push(sight.light.emitted);
         }
     }
 
-    /// Distance to what is seen, `INFINITY` for nothing, and its radiance.
-    fn look(&self, origin: Vec3, direction: Vec3) -> (f32, Outgoing) {
-        const NOTHING: (f32, Outgoing) = (f32::INFINITY, Outgoing::BLACK);
-        let Some(source) = &self.source else {
-            let covered = self.query.occluded(origin, direction, self.max_distance);
-            return if covered {
-                (0.0, Outgoing::BLACK)
-            } else {
-                NOTHING
-            };
-        };
-        self.query
-            .closest(origin, direction, self.max_distance)
-            .map_or(NOTHING, |hit| {
-                (hit.distance, source.radiance(&hit, origin, direction))
-            })
+    fn look(&self) -> Look<'_> {
+        Look {
+            query: self.query,
+            source: self.source.as_ref(),
+            max_distance: self.max_distance,
+        }
     }
 }
 
@@ -242,9 +235,7 @@ impl Engine for RaysEngine<'_> {
             }
             Pattern::Shared(directions) => {
                 let looks = Looks {
-                    query: self.query,
-                    source: self.source.as_ref(),
-                    max_distance: self.max_distance,
+                    look: self.look(),
                     directions,
                 };
                 looks.see(receivers, block, scratch, visit);
@@ -278,9 +269,7 @@ pub struct RaysFactory<'a> {
 
 impl EngineFactory for RaysFactory<'_> {
     fn with_engine(&self, cloud: &SurfelCloud, work: &mut dyn FnMut(&dyn Engine)) {
-        let dice = self.dice;
-        let near = None;
-        let source = RadianceSource::Baked { cloud, dice, near };
+        let source = RadianceSource::Baked(DicedSurfels::new(cloud, self.dice, None));
         work(&RaysEngine::new(self.tracer, Some(source), self.settings));
     }
 }

@@ -88,6 +88,11 @@ impl Texture {
         one.into_iter().chain(tiles.iter().flatten())
     }
 
+    /// True if it is a set of tiles, between which there may be nothing.
+    pub fn is_udim(&self) -> bool {
+        matches!(self.tiles, Tiles::Udim(_))
+    }
+
     /// How many samples were NaN or infinite; they are 0.
     pub fn repaired(&self) -> usize {
         self.images().map(Image::repaired).sum()

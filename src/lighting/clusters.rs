@@ -116,8 +116,9 @@ impl Clusters {
         visible(&parts, squares, |part, place| self.look(stand, part, place))
     }
 
-    /// What the point of `part` picked by `place` gives, over what it should give by its share, and whether it is seen.
-    fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<(Vec3, bool)> {
+    /// What the point of `part` picked by `place` gives, over what it should give by its share, and how much is seen
+    /// of it, 0…1.
+    fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<(Vec3, f32)> {
         let (index, within) = pick(&self.sums, part, place.x);
         let source = &self.sources[index];
         let (u, v) = barycentrics(Vec2::new(within, place.y));
@@ -132,10 +133,10 @@ impl Clusters {
             return None;
         }
         let weight = cosine * leaving / offset.length_squared() * part.power / part.irradiance;
-        let is_visible = stand.sees_surface(target, direction, leaving);
+        let visible = stand.sees_surface(target, direction, leaving);
         weight.is_finite().then_some((
             source.emission * (weight / luminance(source.emission)),
-            is_visible,
+            visible,
         ))
     }
 
@@ -180,11 +181,11 @@ impl Clusters {
 }
 
 /// Irradiance by `parts`: rays go to the points that `squares` pick, `look` tells what such a point of a part gives, over
-/// what it should give by its share, and whether it is seen. A quarter of the rays if these agree.
+/// what it should give by its share, and how much is seen of it. A quarter of the rays if these agree.
 pub(super) fn visible(
     parts: &[Part],
     squares: &[Vec2],
-    look: impl Fn(&Part, Vec2) -> Option<(Vec3, bool)>,
+    look: impl Fn(&Part, Vec2) -> Option<(Vec3, f32)>,
 ) -> Vec3 {
     let mut sum = 0.0;
     let sums: Vec<f32> = (parts.iter())
@@ -210,11 +211,9 @@ pub(super) fn visible(
         let before = if at == 0 { 0.0 } else { sums[at - 1] };
         let within = ((pick - before) / parts[at].irradiance).clamp(0.0, 1.0);
         let place = Vec2::new(within, square.y);
-        if let Some((weight, is_visible)) = look(&parts[at], place) {
+        if let Some((weight, visible)) = look(&parts[at], place) {
             all += weight;
-            if is_visible {
-                lit += weight;
-            }
+            lit += weight * visible;
         }
     }
     let share = |lit: f32, all: f32| if all > 0.0 { lit / all } else { 0.0 };

@@ -31,7 +31,7 @@ pub(super) struct EmissiveTriangle {
     pub(super) prim: PrimId,
     pub(super) triangle: u32,
     pub(super) corners: [Vec3; 3],
-    /// Radiance (at the centroid).
+    /// Radiance (at the centroid), times the part of the surface that there is.
     pub(super) emission: Vec3,
     /// The same radiance all over it.
     pub(super) is_constant: bool,
@@ -211,11 +211,9 @@ fn visible_share(
         }
         all += weight;
         let place = stand.origin + direction * distance;
-        if stand.sees_surface(place, direction, -panel.normal.dot(direction)) {
-            lit += weight;
-        } else {
-            blocked += weight;
-        }
+        let open = stand.sees_surface(place, direction, -panel.normal.dot(direction));
+        lit += weight * open;
+        blocked += weight * (1.0 - open);
     }
     if all > 0.0 { lit / all } else { 0.0 }
 }
@@ -275,7 +273,8 @@ fn emissive_triangles(shader: &Shader<'_>) -> Vec<EmissiveTriangle> {
                 footprint: area.sqrt(),
             };
             let is_constant = has_constant_emission(scene, id, t);
-            let emission = shader.surface(&centroid).emission;
+            let surface = shader.surface(&centroid);
+            let emission = surface.emission * surface.opacity;
             if area > 0.0 && !(is_constant && emission == Vec3::ZERO) {
                 all.push(EmissiveTriangle {
                     prim: id,
@@ -295,10 +294,14 @@ fn has_constant_emission(scene: &Scene, prim: PrimId, t: usize) -> bool {
     let prim = &scene.prims[prim.index()];
     let face = scene.mesh_of(prim).triangle_faces[t];
     (prim.materials.of_face(face)).is_some_and(|id| {
-        matches!(
-            scene.materials[id.index()].emissive_color,
-            Input::Constant(_)
-        )
+        let material = &scene.materials[id.index()];
+        let inputs = [
+            &material.emissive_color,
+            &material.opacity,
+            &material.opacity_threshold,
+        ];
+        let is_constant = |input: &Input| matches!(input, Input::Constant(_));
+        inputs.into_iter().all(is_constant)
     })
 }
 

@@ -142,11 +142,10 @@ impl AreaLight {
         sample.is_some_and(|sample| self.factor(&sample, patterns.shadow_width) != Vec3::ZERO)
     }
 
-    /// 1 if the place `square` of the light is visible, else 0.
+    /// How much of the place `square` of the light is visible, 0…1.
     fn visible_at(&self, stand: &Stand<'_>, square: Vec2) -> f32 {
         let sample = self.shape.sample(stand.point, square);
-        let is_visible = sample.is_some_and(|sample| self.is_visible(&sample, stand));
-        f32::from(u8::from(is_visible))
+        sample.map_or(0.0, |sample| self.visible(&sample, stand))
     }
 
     /// For radiance 1: the closed form, or the mean of many samples; with shaping and texture.
@@ -195,9 +194,7 @@ impl AreaLight {
                 continue;
             }
             all += weight;
-            if self.is_visible(&sample, stand) {
-                lit += weight;
-            }
+            lit += weight * self.visible(&sample, stand);
         }
         let share = |lit: f32, all: f32| if all > 0.0 { lit / all } else { 0.0 };
         Vec3::new(
@@ -207,9 +204,10 @@ impl AreaLight {
         )
     }
 
-    fn is_visible(&self, sample: &LightSample, stand: &Stand<'_>) -> bool {
+    /// How much of the light from there arrives, 0…1.
+    fn visible(&self, sample: &LightSample, stand: &Stand<'_>) -> f32 {
         if !self.casts_shadows {
-            return stand.start(sample.to_light).is_some();
+            return f32::from(u8::from(stand.start(sample.to_light).is_some()));
         }
         match sample.position {
             None => stand.sees_sky(sample.to_light),

@@ -4,8 +4,9 @@ use super::lights::AreaLight;
 use super::stand::Stand;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Light, Linked, Scene};
-use crate::trace::Tracer;
+use crate::trace::{Opacity, Tracer};
 use glam::Vec3;
+use std::sync::Arc;
 
 /// All lights of a scene but domes and emissive surfaces.
 #[derive(Debug)]
@@ -24,9 +25,9 @@ struct LinkedLight {
 }
 
 impl LinkedLights {
-    /// The lights `all` of `scene`. A hierarchy is built for each set of prims that alone blocks some light.
+    /// The lights `all` of `scene`, whose surfaces stop as much as `opacity` says. A hierarchy is built for each set of prims that alone blocks some light.
     pub(super) fn new<'a>(
-        scene: &Scene,
+        (scene, opacity): (&Scene, Option<Arc<dyn Opacity>>),
         all: impl Iterator<Item = &'a Light>,
         diagnostics: &Diagnostics,
     ) -> Self {
@@ -40,7 +41,9 @@ impl LinkedLights {
                 let known = sets.iter().position(|set| **set == light.blockers);
                 known.unwrap_or_else(|| {
                     sets.push(&light.blockers);
-                    tracers.push(Tracer::among(scene, |prim| light.blockers.contains(prim)));
+                    tracers.push(Tracer::among(scene, opacity.clone(), |prim| {
+                        light.blockers.contains(prim)
+                    }));
                     tracers.len() - 1
                 })
             });

@@ -105,7 +105,7 @@ impl ShadePoint {
             normal,
             geometric_normal,
             smooth_offset: (normal != geometric_normal).then(smooth).flatten(),
-            prim: Some(surface.prim),
+            prim: (surface.prim != PrimId::NONE).then_some(surface.prim),
         }
     }
 }
@@ -221,8 +221,9 @@ impl Lighting {
         let environment = Environment::new(shader.lights(), diagnostics);
         let coarse = samples.at_most(LightSamples::SURFEL);
         let [fine_sky, coarse_sky] = environment.sets([samples.environment, coarse.environment]);
+        let surfaces = (shader.scene(), shader.opacity());
         Self {
-            lights: LinkedLights::new(shader.scene(), shader.lights(), diagnostics),
+            lights: LinkedLights::new(surfaces, shader.lights(), diagnostics),
             emitters: Emitters::new(shader),
             fine: Detail::new(samples, fine_sky),
             coarse: Detail::new(coarse, coarse_sky),
@@ -289,14 +290,13 @@ impl Lighting {
         self.environment.uniform
     }
 
-    /// Radiance of the nearest light whose shape lies along the unit `direction` closer than `max_distance`. Lights
-    /// are no geometry: this is how a camera sees them.
-    pub fn seen(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Vec3> {
+    /// Distance and radiance of the nearest light whose shape lies along the unit `direction` closer than `max_distance`.
+    /// Lights are no geometry: this is how a camera sees them.
+    pub fn seen(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<(f32, Vec3)> {
         (self.lights.all())
             .filter_map(|light| light.seen(origin, direction))
             .filter(|(distance, _)| *distance < max_distance)
             .min_by(|a, b| a.0.total_cmp(&b.0))
-            .map(|(_, radiance)| radiance)
     }
 
     /// True if nothing shines at all: no lights, no environment, no emissive surface.

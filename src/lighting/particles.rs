@@ -71,8 +71,9 @@ impl Particles {
         visible(&parts, squares, |part, place| self.look(stand, part, place))
     }
 
-    /// What the particle of `part` picked by `place` gives, over what it should give by its share, and whether it is seen.
-    fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<(Vec3, bool)> {
+    /// What the particle of `part` picked by `place` gives, over what it should give by its share, and how much is seen
+    /// of it, 0…1.
+    fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<(Vec3, f32)> {
         let (index, within) = pick(&self.sums, part, place.x);
         let source = &self.sources[index];
         let towards = (source.center - stand.origin).try_normalize()?;

@@ -5,10 +5,11 @@ use super::emitters::EmissiveTriangle;
 use super::panels::barycentrics;
 use super::stand::Stand;
 use crate::math::{Frame, luminance};
-use crate::scene::Scene;
+use crate::scene::{PrimId, Scene};
 use crate::shading::{Shader, SurfacePoint};
+use crate::trace::Hit;
 use glam::{Vec2, Vec3};
-use std::f32::consts::{FRAC_1_PI, PI};
+use std::f32::consts::{FRAC_1_PI, PI, SQRT_2};
 
 /// Fraction of the golden ratio: an additive third dimension to pick triangles with.
 pub(super) const GOLDEN: f32 = 0.618_034;
@@ -16,7 +17,7 @@ pub(super) const GOLDEN: f32 = 0.618_034;
 /// A triangle to be sampled.
 #[derive(Debug, Clone, Copy)]
 struct Source {
-    prim: crate::scene::PrimId,
+    prim: PrimId,
     triangle: u32,
     corners: [Vec3; 3],
     is_mirrored: bool,
@@ -88,50 +89,76 @@ impl SampledEmitters {
         (hemisphere, squares): (&[Vec3], &[Vec2]),
     ) -> Vec3 {
         let view = View { shader, stand };
-        let found: Vec<Option<Found>> = self.hemisphere_hits(&view, hemisphere);
-        if let Some(irradiance) = surrounded(&found) {
+        let found = self.hemisphere_hits(&view, hemisphere);
+        if let Some(irradiance) = surrounded(&view, &found, hemisphere.len()) {
             return irradiance;
         }
         let (by_ray, by_area) = counts(hemisphere, squares);
         let mut sum = Vec3::ZERO;
-        for found in found.iter().flatten() {
-            // density of either kind per solid angle
-            let ray = by_ray * found.cosine * FRAC_1_PI;
-            let area = by_area * found.density * found.squared / found.leaving;
-            sum += found.emission * (found.cosine / (ray + area));
+        let view = &view;
+        for found in &found {
+            sum += found.light(view, (by_ray, by_area));
         }
         for (&square, pick) in squares.iter().zip(0_u16..) {
-            if let Some(found) = self.area_sample(&view, square, (f32::from(pick) * GOLDEN).fract())
-            {
-                let ray = by_ray * found.cosine * FRAC_1_PI;
-                let area = by_area * found.density * found.squared / found.leaving;
-                sum += found.emission * (found.cosine / (ray + area));
+            let pick = (f32::from(pick) * GOLDEN).fract();
+            if let Some(found) = self.area_sample(view, square, pick) {
+                sum += found.light(view, (by_ray, by_area));
             }
         }
         sum
     }
 
-    fn hemisphere_hits(&self, view: &View<'_>, hemisphere: &[Vec3]) -> Vec<Option<Found>> {
+    /// All emission that the rays along `hemisphere` meet, several times along one where they pass screens.
+    fn hemisphere_hits(&self, view: &View<'_>, hemisphere: &[Vec3]) -> Vec<Found> {
         let frame = Frame::about(view.stand.point.normal);
-        (hemisphere.iter())
-            .map(|&local| {
-                let direction = frame.to_world(local);
-                let start = view.stand.start(direction)?;
-                let hit = (view.stand.tracer).closest(start, direction, f32::INFINITY)?;
-                let density = *self.densities[hit.prim.index()].get(hit.triangle as usize)?;
-                if !hit.front || density <= 0.0 {
-                    return None;
-                }
-                let normal = view.world_normal(hit.prim, hit.triangle);
-                Some(Found {
-                    emission: view.emission(hit.prim, hit.triangle, (hit.u, hit.v)),
-                    cosine: local.z,
-                    leaving: normal.dot(direction).abs().max(f32::MIN_POSITIVE),
-                    squared: hit.distance * hit.distance,
-                    density,
-                })
-            })
-            .collect()
+        let tracer = view.stand.tracer;
+        let (mut all, mut layers) = (Vec::new(), Vec::new());
+        for &local in hemisphere {
+            let direction = frame.to_world(local);
+            let Some(start) = view.stand.start(direction) else {
+                continue;
+            };
+            let mut see = |hit: Hit, open: f32| {
+                all.extend(self.found(view, &hit, (direction, local.z, open)));
+            };
+            let solid = tracer.solid_closest(start, direction, f32::INFINITY);
+            let end = solid.map_or(f32::INFINITY, |hit| hit.distance);
+            let open = tracer.layers_and_holes((start, direction), end, &mut layers);
+            let mut before = 1.0;
+            for layer in &layers {
+                see(layer.hit, before);
+                before *= 1.0 - layer.opacity;
+            }
+            if let Some(hit) = solid.filter(|_| open > 0.0) {
+                see(hit, open);
+            }
+        }
+        all
+    }
+
+    /// What a ray along a direction at a cosine to the normal meets, of which the part `open` is seen.
+    fn found(
+        &self,
+        view: &View<'_>,
+        hit: &Hit,
+        (direction, cosine, open): (Vec3, f32, f32),
+    ) -> Option<Found> {
+        let density = *self.densities[hit.prim.index()].get(hit.triangle as usize)?;
+        if !hit.front || density <= 0.0 {
+            return None;
+        }
+        let corners = view.corners(hit.prim, hit.triangle);
+        let [a, b, c] = corners;
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        Some(Found {
+            place: (hit.prim, hit.triangle, (hit.u, hit.v)),
+            corners,
+            open,
+            cosine,
+            leaving: normal.dot(direction).abs().max(f32::MIN_POSITIVE),
+            squared: hit.distance * hit.distance,
+            density,
+        })
     }
 
     fn area_sample(&self, view: &View<'_>, square: Vec2, pick: f32) -> Option<Found> {
@@ -149,13 +176,18 @@ impl SampledEmitters {
         let cosine = view.stand.point.normal.dot(direction);
         let leaving = -(b - a).cross(c - a).normalize_or_zero().dot(direction);
         let place = view.stand.origin + offset;
-        let is_facing = cosine > 0.0 && leaving > 0.0;
-        if !is_facing || !view.stand.sees(place, direction) {
+        if cosine <= 0.0 || leaving <= 0.0 {
+            return None;
+        }
+        let open = view.stand.sees(place, direction);
+        if open <= 0.0 {
             return None;
         }
         let weights = if source.is_mirrored { (v, u) } else { (u, v) };
         Some(Found {
-            emission: view.emission(source.prim, source.triangle, weights),
+            place: (source.prim, source.triangle, weights),
+            corners: view.corners(source.prim, source.triangle),
+            open,
             cosine,
             leaving,
             squared,
@@ -169,9 +201,13 @@ struct View<'a> {
     stand: &'a Stand<'a>,
 }
 
-/// A sample that sees emission.
+/// A sample that meets an emitter.
 struct Found {
-    emission: Vec3,
+    place: (PrimId, u32, (f32, f32)),
+    /// Of its triangle, world space.
+    corners: [Vec3; 3],
+    /// Part of its light that comes through what is before it.
+    open: f32,
     /// At the receiver.
     cosine: f32,
     /// Cosine at the emitter.
@@ -182,24 +218,44 @@ struct Found {
     density: f32,
 }
 
-impl View<'_> {
-    fn emission(&self, prim: crate::scene::PrimId, triangle: u32, (u, v): (f32, f32)) -> Vec3 {
-        let surface = SurfacePoint {
+impl Found {
+    /// What it adds to the irradiance, where so many rays and points are tried.
+    fn light(&self, view: &View<'_>, (by_ray, by_area): (f32, f32)) -> Vec3 {
+        // density of either kind per solid angle
+        let ray = by_ray * self.cosine * FRAC_1_PI;
+        let area = by_area * self.density * self.squared / self.leaving;
+        let on_surface = (ray + area) * self.leaving / self.squared;
+        self.emission(view, on_surface) * (self.cosine / (ray + area))
+    }
+
+    /// What is emitted towards the receiver, averaged over the surface that the sample stands for where there are so many
+    /// per area, as far as it lies on its triangle.
+    fn emission(&self, view: &View<'_>, density: f32) -> Vec3 {
+        let (prim, triangle, (u, v)) = self.place;
+        let [a, b, c] = self.corners;
+        let twice = (b - a).cross(c - a).length();
+        let edges = [(c - b, 1.0 - u - v), (c - a, u), (b - a, v)];
+        let inside = edges
+            .map(|(edge, weight)| twice * weight / edge.length())
+            .into_iter()
+            .fold(f32::INFINITY, f32::min);
+        let surface = view.shader.surface(&SurfacePoint {
             prim,
             triangle,
             u,
             v,
-            footprint: 0.0,
-        };
-        self.shader.surface(&surface).emission
+            footprint: density.recip().sqrt().min(SQRT_2 * inside.max(0.0)),
+        });
+        surface.emission * (surface.opacity * self.open)
     }
+}
 
-    fn world_normal(&self, prim: crate::scene::PrimId, triangle: u32) -> Vec3 {
+impl View<'_> {
+    fn corners(&self, prim: PrimId, triangle: u32) -> [Vec3; 3] {
         let scene = self.shader.scene();
         let prim = &scene.prims[prim.index()];
-        let [a, b, c] = (scene.mesh_of(prim).corners(triangle as usize))
-            .map(|p| prim.world_from_object.transform_point3(p));
-        (b - a).cross(c - a).normalize_or_zero()
+        let corners = scene.mesh_of(prim).corners(triangle as usize);
+        corners.map(|p| prim.world_from_object.transform_point3(p))
     }
 }
 
@@ -208,10 +264,13 @@ fn counts(hemisphere: &[Vec3], squares: &[Vec2]) -> (f32, f32) {
     (hemisphere.len() as f32, squares.len() as f32)
 }
 
-/// If every ray meets the same radiance, that is all there is.
-fn surrounded(found: &[Option<Found>]) -> Option<Vec3> {
-    let first = found.first()?.as_ref()?.emission;
-    (found.iter())
-        .all(|found| found.as_ref().is_some_and(|found| found.emission == first))
-        .then_some(PI * first)
+/// If every one of `rays` rays meets the same radiance, that is all there is.
+fn surrounded(view: &View<'_>, found: &[Found], rays: usize) -> Option<Vec3> {
+    let sharp = |found: &Found| found.emission(view, f32::INFINITY);
+    if found.len() != rays {
+        return None;
+    }
+    let first = sharp(found.first()?);
+    let is_all = found.iter().all(|found| sharp(found) == first);
+    is_all.then_some(PI * first)
 }

@@ -78,34 +78,39 @@ impl<'a> Stand<'a> {
         }
     }
 
-    /// True if nothing within reach is in unit `direction`.
-    pub(super) fn sees_sky(&self, direction: Vec3) -> bool {
-        self.start(direction)
-            .is_some_and(|start| !self.tracer.occluded(start, direction, self.reach))
+    /// Part of the light from unit `direction` that comes through what is within reach, 0…1.
+    pub(super) fn sees_sky(&self, direction: Vec3) -> f32 {
+        self.start(direction).map_or(0.0, |start| {
+            self.tracer.transmittance(start, direction, self.reach)
+        })
     }
 
-    /// True if nothing is between the receiver and `position` on an emissive surface, which lies in unit `direction`
-    /// and whose normal makes the cosine `leaving` with the way back.
-    pub(super) fn sees_surface(&self, position: Vec3, direction: Vec3, leaving: f32) -> bool {
+    /// Part of the light that comes through what is between the receiver and `position` on an emissive surface, which lies
+    /// in unit `direction` and whose normal makes the cosine `leaving` with the way back.
+    pub(super) fn sees_surface(&self, position: Vec3, direction: Vec3, leaving: f32) -> f32 {
         let Some(start) = self.start(direction) else {
-            return false;
+            return 0.0;
         };
         let offset = position - start;
         let distance = offset.length();
         let clearance = CLEARANCE * self.tracer.lift_height(self.point.position);
         let end = end_before(distance).min(distance - clearance / leaving.max(f32::MIN_POSITIVE));
-        end <= 0.0 || !self.tracer.occluded(start, offset / distance, end)
+        if end <= 0.0 {
+            return 1.0;
+        }
+        self.tracer.transmittance(start, offset / distance, end)
     }
 
-    /// True if nothing is between the receiver and `position`, which lies in unit `direction`.
-    pub(super) fn sees(&self, position: Vec3, direction: Vec3) -> bool {
-        self.start(direction).is_some_and(|start| {
+    /// Part of the light that comes through what is between the receiver and `position`, which lies in unit `direction`.
+    pub(super) fn sees(&self, position: Vec3, direction: Vec3) -> f32 {
+        self.start(direction).map_or(0.0, |start| {
             let offset = position - start;
             let distance = offset.length();
-            distance == 0.0
-                || !self
-                    .tracer
-                    .occluded(start, offset / distance, end_before(distance))
+            if distance == 0.0 {
+                return 1.0;
+            }
+            let end = end_before(distance);
+            self.tracer.transmittance(start, offset / distance, end)
         })
     }
 }

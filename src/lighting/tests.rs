@@ -81,7 +81,7 @@ fn lit_by(
         samples,
         &diagnostics,
     );
-    lighting.lights = LinkedLights::new(&scene, scene.lights.iter(), &diagnostics);
+    lighting.lights = LinkedLights::new((&scene, None), scene.lights.iter(), &diagnostics);
     points.iter().map(|p| lighting.lights(&tracer, p)).collect()
 }
 

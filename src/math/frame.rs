@@ -35,6 +35,15 @@ impl Frame {
     pub fn to_world(&self, local: Vec3) -> Vec3 {
         self.tangent * local.x + self.bitangent * local.y + self.normal * local.z
     }
+
+    /// (tangent, bitangent, normal) coordinates of the world direction `world`.
+    pub fn to_local(&self, world: Vec3) -> Vec3 {
+        Vec3::new(
+            world.dot(self.tangent),
+            world.dot(self.bitangent),
+            world.dot(self.normal),
+        )
+    }
 }
 
 #[cfg(test)]
@@ -53,6 +62,8 @@ mod tests {
             let f = Frame::about(n);
             assert!(f.tangent.cross(f.bitangent).dot(n) > 0.999_99);
             assert!(f.tangent.dot(n).abs() < 1e-6);
+            let local = Vec3::new(0.2, -0.3, 0.5);
+            assert!(f.to_local(f.to_world(local)).abs_diff_eq(local, 1e-6));
         }
     }
 }

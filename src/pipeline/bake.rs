@@ -6,10 +6,10 @@ use super::job::{BakeJob, BakeView};
 use super::report::{Report, peak_memory_bytes, timed};
 use super::view::camera;
 use super::world::{Needs, World, with_world};
-use super::{Error, outputs, provenance};
+use super::{Error, gather, outputs, provenance, shots};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::{Receivers, primvar};
-use crate::results::{Results, Target};
+use crate::results::{Aov, Results, Target};
 use crate::scene::camera::Projection;
 use crate::scene::{PrimId, Scene};
 use crate::stage;
@@ -19,11 +19,8 @@ use std::path::{Path, PathBuf};
 
 pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
     let mut report = Report::new(&job.stage.command);
-    let path = job
-        .output
-        .path
-        .as_deref()
-        .unwrap_or_else(|| Path::new("bake.usdc"));
+    let path = job.output.path.as_deref();
+    let path = path.unwrap_or_else(|| Path::new("bake.usdc"));
     let planned = files(path);
     outputs::check(&job.output, &planned)?;
     if job.output.dry_run {
@@ -38,6 +35,7 @@ pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Er
         None => Needs::of(&job.gather.aovs),
     };
     let mut writer: Option<LayerWriter> = None;
+    let mut plain: Option<(Aov, LayerWriter)> = None;
     for time in job.stage.times() {
         with_world(
             source.as_mut(),
@@ -45,7 +43,13 @@ pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Er
             &mut report,
             diagnostics,
             |world, report| {
-                let (target, results) = bake(world, job, (&mut *report, diagnostics))?;
+                let (receivers, results) = bake(world, job, (&mut *report, diagnostics))?;
+                if writer.is_none() && job.output.report.is_some() {
+                    plain = timed(&mut report.seconds.gather, || {
+                        without_reflections(world, job, &receivers, (time, diagnostics))
+                    })?;
+                }
+                let target = receivers.target;
                 let Target::Primvars(spans) = &target else {
                     unreachable!("points of meshes are primvar receivers")
                 };
@@ -68,6 +72,9 @@ pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Er
         let _phase = diagnostics.phase("write", "file", 0);
         writer.write(path)
     })?;
+    if job.output.is_pictured() {
+        picture(job, plain, &mut report, diagnostics)?;
+    }
     Ok(report)
 }
 
@@ -94,7 +101,7 @@ fn bake(
     world: &World<'_>,
     job: &BakeJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
-) -> Result<(Target, Results), Error> {
+) -> Result<(Receivers, Results), Error> {
     let scene = world.scene();
     let prims: Vec<PrimId> = (0_u32..).map(PrimId).take(scene.prims.len()).collect();
     let mut receivers = timed(&mut report.seconds.gather, || {
@@ -115,7 +122,62 @@ fn bake(
         &job.gather,
         (report, diagnostics),
     )?;
-    Ok((receivers.target, results))
+    Ok((receivers, results))
+}
+
+/// What a page shows beside the results, as a bake of its own.
+fn without_reflections(
+    world: &World<'_>,
+    job: &BakeJob,
+    receivers: &Receivers,
+    (time, diagnostics): (Option<f64>, &Diagnostics),
+) -> Result<Option<(Aov, LayerWriter)>, Error> {
+    let Some(aov) = shots::paired(&job.gather.aovs, &job.gather) else {
+        return Ok(None);
+    };
+    let Target::Primvars(spans) = &receivers.target else {
+        return Ok(None);
+    };
+    let asked = shots::without_reflections(&job.gather, aov);
+    let mut scratch = Report::new(&[]);
+    let run = (&mut scratch, diagnostics);
+    let results = gather::gather(world, receivers, &asked.aovs, &asked, run)?;
+    let scene = world.scene();
+    let options = BakeOptions {
+        aovs: vec![aov],
+        ..options(job)
+    };
+    let mut writer = LayerWriter::new(&scene.stage, options);
+    let silent = Diagnostics::default();
+    writer.add((scene, spans), &results, time, &silent);
+    Ok(Some((aov, writer)))
+}
+
+/// Show the bake on the page, beside the one without reflections.
+fn picture(
+    job: &BakeJob,
+    plain: Option<(Aov, LayerWriter)>,
+    report: &mut Report,
+    diagnostics: &Diagnostics,
+) -> Result<(), Error> {
+    let Some(shown) = report.outputs.get(1).cloned() else {
+        return Ok(());
+    };
+    let scratch = |source| Error::WritePage {
+        path: std::env::temp_dir(),
+        source,
+    };
+    let folder = tempfile::tempdir().map_err(scratch)?;
+    let without = match plain {
+        Some((aov, writer)) => {
+            let files = writer.write(&folder.path().join("plain.usdc"))?;
+            files.into_iter().nth(1).map(|file| (aov, file))
+        }
+        None => None,
+    };
+    let without = without.as_ref().map(|(aov, file)| (*aov, file.as_path()));
+    shots::of_bake((job, &shown), without, report, diagnostics);
+    Ok(())
 }
 
 /// Tell `receivers` where the eye is.

@@ -44,7 +44,7 @@ impl Choice {
         let job = stand.job;
         Self {
             engine: match job.engine {
-                _ if stand.is_partial() => Chosen::Rays(job.rays),
+                _ if stand.needs_rays() => Chosen::Rays(job.rays),
                 EngineChoice::Auto | EngineChoice::Rays => Chosen::Rays(job.rays),
                 EngineChoice::Raster => {
                     Chosen::Raster((job.max_solid_angle, job.raster_resolution))
@@ -197,12 +197,13 @@ pub(super) fn choose(
 ) -> Result<Found, Error> {
     let job = stand.job;
     report.error.is_of_pilot = false;
+    warn_of_screens(stand, diagnostics);
     let known = |choice| Found {
         choice,
         outcome: None,
     };
     let by_name =
-        !stand.is_partial() && matches!(job.engine, EngineChoice::Raster | EngineChoice::Paper);
+        !stand.needs_rays() && matches!(job.engine, EngineChoice::Raster | EngineChoice::Paper);
     let Some(tolerance) = job.tolerance.filter(|_| !by_name) else {
         return Ok(known(Choice::as_asked(stand)));
     };
@@ -233,6 +234,22 @@ pub(super) fn choose(
     })
 }
 
+/// Say so where an engine was asked for by name that takes surfaces for opaque which are not.
+fn warn_of_screens(stand: &Stand<'_>, diagnostics: &Diagnostics) {
+    let engine = match stand.job.engine {
+        EngineChoice::Auto | EngineChoice::Rays => return,
+        EngineChoice::Raster => "raster",
+        EngineChoice::Paper => "paper",
+        EngineChoice::Maps => "maps",
+    };
+    if stand.world().tracer.has_screens() {
+        let message = format!(
+            "some surfaces let light through, which --gather {engine} does not know: rays see for it"
+        );
+        diagnostics.warn("opacity", "", message);
+    }
+}
+
 /// What interpolation has to keep where `outcome` led to it: the tolerance, or what rays alone err by.
 pub(super) fn promise_of_rays(outcome: &Outcome, tolerance: f64) -> Option<Promise> {
     Some(Promise {
@@ -253,7 +270,7 @@ fn rivals(stand: &Stand<'_>) -> Vec<Chosen> {
     // Without surfels there is nothing to rasterize, and dicing for it would cost more than rays do.
     // Nor do these engines know their error at a receiver.
     let asks_error = stand.aovs.iter().any(|aov| aov.error_of().is_some());
-    let is_whole = stand.job.engine == EngineChoice::Auto && !stand.is_partial();
+    let is_whole = stand.job.engine == EngineChoice::Auto && !stand.needs_rays();
     if !is_whole || stand.surfel_count() == 0 || asks_error {
         return Vec::new();
     }
@@ -341,7 +358,7 @@ pub(super) fn look(
         };
         Box::new(stand.rays_with(settings)) as Box<dyn Method>
     };
-    let is_sky = !stand.is_partial() && stand.aovs.iter().any(|&aov| maps::supports(aov));
+    let is_sky = !stand.needs_rays() && stand.aovs.iter().any(|&aov| maps::supports(aov));
     let pilot = Pilot {
         scenes: LightScenes {
             run: stand.scene(),

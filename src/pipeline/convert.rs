@@ -128,6 +128,7 @@ fn read_usd(job: &ConvertJob, diagnostics: &Diagnostics) -> Result<Read, Error> 
     }
     let needs = Needs {
         materials: true,
+        opacity: false,
         lights: false,
         gloss: true,
     };

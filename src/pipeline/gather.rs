@@ -14,8 +14,8 @@ use crate::bake::{self, BakeSettings, Baked};
 use crate::bounce::{BounceClouds, Bounces, CoarseCloud};
 use crate::diagnostics::Diagnostics;
 use crate::gather::{
-    self, GatherScene, HitLight, LoadedCloud, RadianceSource, RaysEngine, RaysFactory,
-    RaysSettings, Reference,
+    self, DicedSurfels, GatherScene, HitLight, LoadedCloud, RadianceSource, RaysEngine,
+    RaysFactory, RaysSettings, Reference,
 };
 use crate::lighting::{LightSamples, Lighting};
 use crate::pilot::Method;
@@ -84,11 +84,8 @@ pub(super) fn read_surfels<'a>(
     let near = (bounces.is_at_most_once())
         .then(|| relight(baked, world, &world.lighting))
         .flatten();
-    RadianceSource::Baked {
-        cloud: &baked.cloud,
-        dice: &baked.dice,
-        near: near.map(|hits| hits.within(near_radii)),
-    }
+    let near = near.map(|hits| hits.within(near_radii));
+    RadianceSource::Baked(DicedSurfels::new(&baked.cloud, &baked.dice, near))
 }
 
 /// What [`read_surfels`] errs by after one reflection; `None` as [`relight`].

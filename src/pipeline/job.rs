@@ -231,6 +231,8 @@ pub struct BakeJob {
     pub display_color: Option<Aov>,
     /// Where glossy surfaces are looked at from.
     pub view: Option<BakeView>,
+    /// Points to compute at instead of those of meshes; they are written again, with the results.
+    pub positions: Option<PathBuf>,
 }
 
 /// The eye of a bake.
@@ -274,6 +276,28 @@ pub struct OutputJob {
     pub no_clobber: bool,
     /// List only.
     pub dry_run: bool,
+    /// A page (HTML) about the run.
+    pub report: Option<PathBuf>,
+    /// A small picture beside the first output.
+    pub thumbnail: bool,
+}
+
+impl OutputJob {
+    /// True where pictures of the results are shown.
+    pub(super) fn is_pictured(&self) -> bool {
+        self.report.is_some() || self.thumbnail
+    }
+
+    /// Only the file `path`.
+    pub fn only(path: Option<PathBuf>) -> Self {
+        Self {
+            path,
+            no_clobber: false,
+            dry_run: false,
+            report: None,
+            thumbnail: false,
+        }
+    }
 }
 
 /// `surflux verify`.

@@ -11,9 +11,12 @@ mod job;
 mod maps;
 mod outputs;
 mod points;
+mod positions;
 mod raster;
 mod render;
 mod report;
+mod sheet;
+mod shots;
 mod show;
 mod spacing;
 mod stand;
@@ -34,12 +37,16 @@ pub use job::{
     BakeJob, BakeView, ConvertJob, Dome, EngineChoice, GatherJob, InfoJob, Job, OcclusionKind,
     OutputJob, Part, PointsJob, Purposed, RenderJob, StageJob, VerifyJob, ViewJob,
 };
+pub use positions::unknown_at_points;
 pub use report::{Counts, ErrorReport, ReadReport, Report, Seconds};
+pub use shots::Shot;
 pub use validate::{CheckSummary, ValidationReport, validate};
 pub use verify::verify;
 
 use crate::diagnostics::{Cancelled, Diagnostics};
-use std::path::PathBuf;
+use crate::writers::image::thumbnail;
+use crate::writers::write_whole;
+use std::path::{Path, PathBuf};
 
 /// Why a job failed.
 #[derive(Debug, thiserror::Error)]
@@ -131,6 +138,12 @@ pub enum Error {
         /// Names of all.
         known: String,
     },
+    /// Positions to bake at that face nowhere.
+    #[error("{}: no point has a normal, which says where the hemisphere is that light comes from", path.display())]
+    NoNormals {
+        /// The file of points.
+        path: PathBuf,
+    },
     /// A bake without meshes.
     #[error("{}: no mesh is on the stage that values could be written to", path.display())]
     NothingToBake {
@@ -145,9 +158,15 @@ pub enum Error {
 /// The first thing that went wrong; files already complete stay, nothing partial does.
 pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
     let start = std::time::Instant::now();
+    if let Some((_, output)) = told(job) {
+        outputs::check(output, output.report.as_slice())?;
+    }
     let done = match job {
         Job::Points(job) => points::run(job, diagnostics),
-        Job::Bake(job) => bake::run(job, diagnostics),
+        Job::Bake(job) => match &job.positions {
+            Some(path) => positions::run(job, path, diagnostics),
+            None => bake::run(job, diagnostics),
+        },
         Job::Render(job) => render::run(job, diagnostics),
         Job::View(job) => show::run(job, diagnostics),
         Job::Convert(job) => convert::run(job, diagnostics),
@@ -168,8 +187,52 @@ pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
     report.seconds.total = start.elapsed().as_secs_f64();
 
     report.warnings = diagnostics.warnings();
+    if let Some((stage, output)) = told(job) {
+        tell(stage, output, &mut report)?;
+    }
     Ok(report)
 }
+
+/// The stage and the outputs of jobs that have pages and thumbnails.
+fn told(job: &Job) -> Option<(&StageJob, &OutputJob)> {
+    match job {
+        Job::Points(job) => Some((&job.stage, &job.output)),
+        Job::Bake(job) => Some((&job.stage, &job.output)),
+        Job::Render(job) => Some((&job.stage, &job.output)),
+        Job::View(_) | Job::Convert(_) | Job::Info(_) | Job::Validate(_) | Job::Verify(_) => None,
+    }
+}
+
+/// Write the thumbnail and the page that `output` asks for.
+fn tell(stage: &StageJob, output: &OutputJob, report: &mut Report) -> Result<(), Error> {
+    let write = |path: &Path, bytes: &[u8]| {
+        write_whole(path, bytes).map_err(|source| Error::WritePage {
+            path: path.to_path_buf(),
+            source,
+        })
+    };
+    let first = report.outputs.first().filter(|_| output.thumbnail);
+    if let Some(path) = first.map(|first| outputs::thumbnail_path(first)) {
+        if !output.dry_run {
+            outputs::check(output, std::slice::from_ref(&path))?;
+            if let Some(shot) = report.shots.first() {
+                write(&path, &thumbnail(&shot.png, THUMBNAIL_WIDTH))?;
+            }
+        }
+        report.outputs.push(path);
+    }
+    if let Some(page) = &output.report {
+        let name = stage.path.file_name().unwrap_or_default().to_string_lossy();
+        if !output.dry_run {
+            write(page, sheet::sheet(report, &name, page).as_bytes())?;
+        }
+        report.outputs.push(page.clone());
+    }
+    Ok(())
+}
+
+/// Pixels across.
+const THUMBNAIL_WIDTH: u32 = 256;
 
 /// Where an output of `job` comes from, as written into it.
 fn provenance(job: &StageJob) -> crate::writers::usd::Provenance {

@@ -23,6 +23,12 @@ pub(super) fn frame_path(pattern: &Path, time: Option<f64>) -> PathBuf {
     PathBuf::from(format!("{}{time:0width$.decimals$}{rest}", &text[..start]))
 }
 
+/// The small picture beside `output`.
+pub(super) fn thumbnail_path(output: &Path) -> PathBuf {
+    let stem = output.file_stem().unwrap_or_default().to_string_lossy();
+    output.with_file_name(format!("{stem}_thumbnail.png"))
+}
+
 /// Refuse, before anything is computed, folders that do not exist and, with `--no-clobber`, files that do.
 pub(super) fn check(job: &OutputJob, paths: &[PathBuf]) -> Result<(), Error> {
     for path in paths {

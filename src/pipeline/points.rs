@@ -4,10 +4,10 @@ use super::gather::dice;
 use super::job::PointsJob;
 use super::report::{Report, peak_memory_bytes, timed};
 use super::world::{Needs, with_world};
-use super::{Error, outputs, provenance};
+use super::{Error, outputs, provenance, shots};
 use crate::diagnostics::Diagnostics;
 use crate::stage;
-use crate::writers::usd::cloud::{self, CloudOptions};
+use crate::writers::usd::cloud::{CloudOptions, write};
 use std::path::Path;
 
 pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
@@ -38,19 +38,23 @@ pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, 
             diagnostics,
             |world, report| {
                 let baked = dice(world, &job.bake, (&mut *report, diagnostics))?;
-                report.counts.surfels = report.counts.surfels.max(baked.cloud.len());
-                report.set("spacing", f64::from(baked.cloud.spacing));
+                let cloud = baked.cloud.without_holes();
+                report.counts.surfels = report.counts.surfels.max(cloud.len());
+                report.set("spacing", f64::from(cloud.spacing));
                 timed(&mut report.seconds.write, || {
                     let _phase = diagnostics.phase("write", "file", 0);
                     let options = CloudOptions {
                         provenance: provenance(&job.stage),
                         ..CloudOptions::default()
                     };
-                    cloud::write(&baked.cloud, &world.scene().stage, path, &options)
+                    write(&cloud, &world.scene().stage, path, &options)
                 })?;
                 Ok(())
             },
         )?;
+    }
+    if let Some((_, path)) = frames.first().filter(|_| job.output.is_pictured()) {
+        shots::of_points((&job.stage, path), &mut report, diagnostics);
     }
     report.peak_memory_bytes = peak_memory_bytes(source.as_ref());
     Ok(report)

@@ -6,13 +6,14 @@ use super::job::RenderJob;
 use super::report::{Report, peak_memory_bytes, timed};
 use super::view::{View, views};
 use super::world::{Needs, World, with_world};
-use super::{Error, outputs};
+use super::{Error, gather, outputs, shots};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::lens::Lens;
 use crate::receivers::sampling::Sampling;
 use crate::receivers::{Receivers, camera};
 use crate::results::{Aov, AovImage, resolve};
 use crate::stage;
+use crate::trace::Layer;
 use crate::writers::image::{ExrInfo, ExrLayout, write_exr, write_png};
 use glam::{Vec3, Vec4};
 use std::collections::BTreeMap;
@@ -40,7 +41,8 @@ pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, 
     } else {
         Needs::of_seen(&job.gather.aovs)
     };
-    for time in times {
+    for (index, time) in times.into_iter().enumerate() {
+        let is_first = index == 0;
         with_world(
             source.as_mut(),
             (&job.stage, time, needs),
@@ -51,7 +53,9 @@ pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, 
                     let written = files(&outputs::frame_path(&view.output, time), job);
                     outputs::check(&job.output, &written)?;
                     if !job.output.dry_run {
-                        render(world, &view, job, &written, (&mut *report, diagnostics))?;
+                        let shown = is_first && job.output.is_pictured();
+                        let asked = (job, shown);
+                        render(world, &view, asked, &written, (&mut *report, diagnostics))?;
                     }
                     report.outputs.extend(written);
                 }
@@ -75,7 +79,7 @@ fn files(exr: &Path, job: &RenderJob) -> Vec<PathBuf> {
 fn render(
     world: &World<'_>,
     view: &View,
-    job: &RenderJob,
+    (job, shown): (&RenderJob, bool),
     files: &[PathBuf],
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<(), Error> {
@@ -101,7 +105,7 @@ fn render(
         &job.gather,
         (&mut *report, diagnostics),
     )?;
-    timed(&mut report.seconds.write, || {
+    let images = timed(&mut report.seconds.write, || {
         let _phase = diagnostics.phase("write", "file", 0);
         let mut images = resolve(&results, &receivers.target);
         if !job.hide_lights {
@@ -113,8 +117,43 @@ fn render(
                 add_lights(&mut images, (world, Some((&group.name, &part))), seen);
             }
         }
-        write(&images, &info(world, view, job), job, files)
-    })
+        write(&images, &info(world, view, job), job, files)?;
+        Ok::<_, Error>(images)
+    })?;
+    if shown {
+        let pair = shots::paired(&view.aovs, &job.gather).filter(|_| job.output.report.is_some());
+        let plain = timed(&mut report.seconds.gather, || {
+            pair.map(|aov| without_reflections(world, view, (job, aov), diagnostics))
+        });
+        let plain = plain.transpose()?.flatten();
+        shots::of_render(&images, plain.as_ref(), (job, &view.output), report);
+    }
+    Ok(())
+}
+
+/// What a page shows beside `aov`: the same, small, before light is reflected.
+fn without_reflections(
+    world: &World<'_>,
+    view: &View,
+    (job, aov): (&RenderJob, Aov),
+    diagnostics: &Diagnostics,
+) -> Result<Option<AovImage>, Error> {
+    let view = &shots::small(view, aov);
+    let job = &RenderJob {
+        pixel_samples: job.pixel_samples.min(shots::PIXEL_SAMPLES),
+        ..job.clone()
+    };
+    let sampling = sampling(world, view, job);
+    let receivers = place(world, view, job, &sampling);
+    let asked = shots::without_reflections(&job.gather, aov);
+    let mut scratch = Report::new(&[]);
+    let run = (&mut scratch, diagnostics);
+    let results = gather::gather(world, &receivers, &asked.aovs, &asked, run)?;
+    let mut images = resolve(&results, &receivers.target);
+    if !job.hide_lights {
+        add_lights(&mut images, (world, None), (view, &sampling));
+    }
+    Ok(images.into_iter().next())
 }
 
 fn write(
@@ -179,14 +218,15 @@ fn sampling(world: &World<'_>, view: &View, job: &RenderJob) -> Sampling {
 
 /// Receivers on the surfaces that the camera sees; lights in front hide them.
 fn place(world: &World<'_>, view: &View, job: &RenderJob, sampling: &Sampling) -> Receivers {
-    let cast = |origin, direction, length| {
-        let hit = world.tracer.closest(origin, direction, length)?;
-        let hidden = !job.hide_lights
-            && world
-                .lighting
-                .seen(origin, direction, hit.distance)
-                .is_some();
-        (!hidden).then_some(hit)
+    let cast = |origin: Vec3, direction: Vec3, length: f32, found: &mut Vec<Layer>| {
+        camera::see_through(&world.tracer, (origin, direction), length, found);
+        let Some(last) = found.last().filter(|_| !job.hide_lights) else {
+            return;
+        };
+        let light = (world.lighting).seen(origin, direction, last.hit.distance);
+        if let Some((distance, _)) = light {
+            found.retain(|layer| layer.hit.distance < distance);
+        }
     };
     camera::place_with(world.scene(), &cast, (&view.camera, view.frame), sampling)
 }
@@ -201,18 +241,24 @@ fn glow(
     sky: bool,
     (origin, direction, length): (Vec3, Vec3, f32),
 ) -> Vec4 {
-    let hit = world.tracer.closest(origin, direction, length);
-    let length = hit.map_or(length, |hit| hit.distance);
+    let solid = world.tracer.solid_closest(origin, direction, length);
+    let length = solid.map_or(length, |hit| hit.distance);
     let shown = part.map_or(world, |(_, part)| part);
-    match world.lighting.seen(origin, direction, length) {
+    let light = world.lighting.seen(origin, direction, length);
+    let end = light.map_or(length, |(distance, _)| distance);
+    let is_sky = light.is_none() && solid.is_none() && sky;
+    if light.is_none() && !is_sky {
+        return Vec4::ZERO;
+    }
+    let open = (world.tracer).layers((origin, direction), end, &mut Vec::new());
+    match light {
         Some(nearest) => {
-            let own = shown.lighting.seen(origin, direction, length);
-            own.filter(|own| *own == nearest)
-                .unwrap_or(Vec3::ZERO)
-                .extend(1.0)
+            let own = (shown.lighting).seen(origin, direction, length);
+            let own = own.filter(|own| *own == nearest);
+            let radiance = own.map_or(Vec3::ZERO, |(_, radiance)| radiance);
+            (radiance * open).extend(open)
         }
-        None if hit.is_none() && sky => shown.lighting.environment_radiance(direction).extend(0.0),
-        None => Vec4::ZERO,
+        None => (shown.lighting.environment_radiance(direction) * open).extend(0.0),
     }
 }
 

@@ -1,6 +1,7 @@
 //! What a run did, as `--json` prints it (DESIGN: `surflux`, `command`, `usd`, `seconds`, `counts`, …).
 
 use super::choice::Choice;
+use super::shots::Shot;
 use super::spacing::Dicing;
 use crate::diagnostics::Warning;
 use crate::gather::ErrorEstimate;
@@ -159,6 +160,12 @@ pub struct Report {
     pub outputs: Vec<PathBuf>,
     /// Everything that was not as it should be.
     pub warnings: Vec<Warning>,
+    /// True once some frame had surfaces that let light through: later ones read materials at once.
+    #[serde(skip)]
+    pub(super) has_screens: bool,
+    /// Pictures of the first frame, where a page or a thumbnail was asked for.
+    #[serde(skip)]
+    pub shots: Vec<Shot>,
     /// What the pilot chose for each set of AOVs: later frames keep it.
     #[serde(skip)]
     pub(super) choices: BTreeMap<Vec<Aov>, Choice>,
@@ -197,6 +204,8 @@ impl Report {
             error: ErrorReport::default(),
             outputs: Vec::new(),
             warnings: Vec::new(),
+            has_screens: false,
+            shots: Vec::new(),
             choices: BTreeMap::new(),
             dicings: BTreeMap::new(),
         }

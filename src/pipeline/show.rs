@@ -2,7 +2,7 @@
 
 use super::report::{Report, timed};
 use super::world::{Needs, read_settings};
-use super::{Error, ViewJob, outputs, view};
+use super::{Error, StageJob, ViewJob, outputs, view};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::camera::camera_around;
 use crate::scene::Camera;
@@ -30,7 +30,10 @@ pub(super) fn run(job: &ViewJob, diagnostics: &Diagnostics) -> Result<Report, Er
         return Ok(report);
     }
     let mut seconds = 0.0;
-    let read = timed(&mut seconds, || read(job, time, &mut report, diagnostics));
+    let read = timed(&mut seconds, || {
+        let asked = (&job.stage, job.camera.as_deref());
+        read(asked, time, &mut report, diagnostics)
+    });
     report.seconds.read = seconds;
     let (subject, camera) = read?;
     if subject.is_empty() {
@@ -64,39 +67,39 @@ pub(super) fn run(job: &ViewJob, diagnostics: &Diagnostics) -> Result<Report, Er
     Ok(report)
 }
 
-/// What is shown, and the camera if one was asked for.
-fn read(
-    job: &ViewJob,
+/// What of the cloud or stage is shown, and the camera if one was asked for, by path or name.
+pub(super) fn read(
+    (stage, named): (&StageJob, Option<&str>),
     time: Option<f64>,
     report: &mut Report,
     diagnostics: &Diagnostics,
 ) -> Result<(Subject, Option<Camera>), Error> {
-    let path = &job.stage.path;
+    let path = &stage.path;
     let _phase = diagnostics.phase("read", "file", 0);
     if let Found::Points(points, about) = cloud::find(path, diagnostics)? {
-        if let Some(name) = &job.camera {
-            let (name, known) = (name.clone(), "none (a cloud has no cameras)".to_owned());
+        if let Some(name) = named {
+            let (name, known) = (name.to_owned(), "none (a cloud has no cameras)".to_owned());
             return Err(Error::NoCamera { name, known });
         }
         report.usd.clone_from(&about.reader);
         report.counts.surfels = points.len();
         return Ok((Subject::of_points(points, &about), None));
     }
-    let mut source = stage::open(path, job.stage.door, diagnostics)?;
+    let mut source = stage::open(path, stage.door, diagnostics)?;
     let nothing = Needs {
         materials: false,
+        opacity: false,
         lights: false,
         gloss: false,
     };
     let settings = ReadSettings {
         all_primvars: true,
-        ..read_settings(&job.stage, time, nothing)
+        ..read_settings(stage, time, nothing)
     };
     let scene = stage::read(source.as_mut(), &settings, diagnostics)?;
     report.usd.clone_from(&scene.stage.reader);
     report.counts.prims = scene.prims.len();
     report.counts.triangles = scene.triangle_count();
-    let named = job.camera.as_deref();
     let camera = named
         .map(|name| view::camera(&scene, Some(name)))
         .transpose()?;
@@ -130,6 +133,17 @@ fn picture_of(
     let camera =
         camera.unwrap_or_else(|| camera_around(subject.bounds(), subject.origin, subject.up));
     let width = job.image_width.unwrap_or(DEFAULT_WIDTH);
+    let settings = PictureSettings {
+        size: (width, height_of(width, &camera)),
+        range: job.range,
+        exposure: job.exposure,
+        both_sides: job.both_sides,
+    };
+    picture(subject, channel, &camera, &settings)
+}
+
+/// Pixels down of a picture that is `width` across.
+pub(super) fn height_of(width: u32, camera: &Camera) -> u32 {
     let aspect = match camera.horizontal_aperture > 0.0 && camera.vertical_aperture > 0.0 {
         true => camera.vertical_aperture / camera.horizontal_aperture,
         false => 1.0,
@@ -140,11 +154,5 @@ fn picture_of(
         reason = "clamped to 1…65536"
     )]
     let height = (f64::from(width) * aspect).round().clamp(1.0, MOST_HEIGHT) as u32;
-    let settings = PictureSettings {
-        size: (width, height),
-        range: job.range,
-        exposure: job.exposure,
-        both_sides: job.both_sides,
-    };
-    picture(subject, channel, &camera, &settings)
+    height
 }

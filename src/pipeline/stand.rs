@@ -17,6 +17,7 @@ use crate::octree::Octree;
 use crate::pilot::Method;
 use crate::receivers::Receivers;
 use crate::results::Aov;
+use crate::scene::PrimId;
 use crate::surfels::SurfelCloud;
 use std::cell::OnceCell;
 
@@ -73,9 +74,16 @@ impl<'a> Stand<'a> {
         Self { part, ..self }
     }
 
-    /// True if only rays know about the part that is asked about.
+    /// True if a part of the hemisphere is asked about.
     pub(super) fn is_partial(&self) -> bool {
         self.part != Part::Whole
+    }
+
+    /// True if only rays know about what is asked about: a part of the hemisphere, surfaces that let light through, or places
+    /// on no surface.
+    pub(super) fn needs_rays(&self) -> bool {
+        let is_on_surfaces = self.receivers.prim.first() != Some(&PrimId::NONE.0);
+        self.is_partial() || self.world.tracer.has_screens() || !is_on_surfaces
     }
 
     pub(super) fn world(&self) -> &'a World<'a> {
@@ -89,7 +97,7 @@ impl<'a> Stand<'a> {
     /// What lights hits anew that are too near to read surfels.
     pub(super) fn near_light(&self) -> Option<HitLight<'a>> {
         match &self.source {
-            Some(RadianceSource::Baked { near, .. }) => *near,
+            Some(RadianceSource::Baked(surfels)) => surfels.near(),
             _ => None,
         }
     }

@@ -7,6 +7,7 @@ use crate::lighting::{LightSamples, Lighting};
 use crate::results::Aov;
 use crate::scene::{Light, LightGroup, LightKind, Linked, ParticleSet, Scene};
 use crate::shading::Shader;
+use crate::stage::raw::RawStage;
 use crate::stage::{self, ReadSettings, Source};
 use crate::trace::Tracer;
 use glam::{Affine3A, Vec3};
@@ -18,6 +19,8 @@ use std::sync::Arc;
 pub(super) struct Needs {
     /// Materials, display colors, textures.
     pub materials: bool,
+    /// What lets light through.
+    pub opacity: bool,
     /// Lights.
     pub lights: bool,
     /// What is glossy about materials.
@@ -28,6 +31,7 @@ impl Needs {
     /// Materials and lights.
     pub(super) const ALL: Self = Self {
         materials: true,
+        opacity: true,
         lights: true,
         gloss: true,
     };
@@ -41,13 +45,14 @@ impl Needs {
         }
     }
 
-    /// What `aovs` need: occlusion reads neither materials nor lights.
+    /// What `aovs` need: occlusion reads neither lights nor, where nothing lets light through, materials.
     pub(super) fn of(aovs: &[Aov]) -> Self {
         let light = aovs
             .iter()
             .any(|aov| aov.needs_direct() || aov.needs_environment() || aov.needs_indirect());
         Self {
             materials: light || aovs.iter().any(|aov| aov.needs_material()),
+            opacity: true,
             lights: light,
             gloss: aovs.iter().any(|aov| aov.needs_gloss()),
         }
@@ -62,9 +67,31 @@ pub(super) fn read_settings(job: &StageJob, time: Option<f64>, needs: Needs) -> 
         mask: job.mask.clone(),
         composition: job.composition.clone(),
         materials: needs.materials,
+        opacity: needs.opacity,
         lights: needs.lights,
         ..ReadSettings::default()
     }
+}
+
+/// The stage of `source` as [`stage::compose`] has it; where only opacity is asked for, `settings` ask for materials from here
+/// on if something lets light through.
+///
+/// # Errors
+/// Whatever reading reports.
+pub(super) fn compose(
+    source: &mut dyn Source,
+    settings: &mut ReadSettings,
+    diagnostics: &Diagnostics,
+) -> Result<RawStage, Error> {
+    let raw = stage::compose(source, settings, diagnostics)?;
+    if settings.materials || !settings.opacity || !stage::opacity::may_pass(&raw) {
+        return Ok(raw);
+    }
+    settings.materials = true;
+    let mut whole = stage::compose(source, settings, diagnostics)?;
+    whole.meta.read.attributes += raw.meta.read.attributes;
+    whole.meta.read.bytes += raw.meta.read.bytes;
+    Ok(whole)
 }
 
 /// A scene with everything that is made from it once.
@@ -112,8 +139,10 @@ pub(super) fn with_world<T>(
     let mut seconds = 0.0;
     let (scene, groups) = timed(&mut seconds, || {
         let _phase = diagnostics.phase("read", "stage", 0);
-        let settings = read_settings(job, time, needs);
-        let raw = stage::compose(source, &settings, diagnostics)?;
+        let mut settings = read_settings(job, time, needs);
+        settings.materials |= report.has_screens;
+        let raw = compose(source, &mut settings, diagnostics)?;
+        report.has_screens = settings.materials;
         report.read.add(&raw.meta);
         let mut scene = stage::passes::scene(&raw, &settings, diagnostics)?;
         let mut groups = Vec::new();
@@ -132,15 +161,15 @@ pub(super) fn with_world<T>(
             path: scene.stage.path,
         });
     }
-    let shader = timed(&mut seconds, || {
-        if needs.gloss {
-            Shader::glossy(&scene, diagnostics)
-        } else {
-            Shader::new(&scene, diagnostics)
-        }
+    let shader = timed(&mut seconds, || match needs {
+        Needs { gloss: true, .. } => Shader::glossy(&scene, diagnostics),
+        Needs {
+            materials: true, ..
+        } => Shader::new(&scene, diagnostics),
+        _ => Shader::of_opacity(&scene, diagnostics),
     });
     let world = timed(&mut seconds, || World {
-        tracer: Arc::new(Tracer::new(&scene)),
+        tracer: Arc::new(Tracer::among(&scene, shader.opacity(), |_| true)),
         lighting: Lighting::new(&shader, LightSamples::default(), diagnostics),
         shader: &shader,
         groups: &groups,

@@ -2,7 +2,8 @@
 //!
 //! Every pixel is looked through at fixed, stratified places. Hits on the same prim, side and material, whose normals
 //! and planes agree, become one receiver that stands for their share of the samples: light is computed once where
-//! pixels are smooth, and separately on both sides of an edge.
+//! pixels are smooth, and separately on both sides of an edge. Where a surface lets light through, a sample is shared between
+//! it and what is behind.
 
 use super::Receivers;
 use super::lens::{Frame, Lens};
@@ -12,7 +13,7 @@ use crate::results::{PixelShare, Target};
 use crate::scene::camera::Projection;
 use crate::scene::{Camera, MaterialId, PlacedMesh, Scene, on_the_side_of};
 use crate::shading::SurfacePoint;
-use crate::trace::{Hit, Tracer};
+use crate::trace::{Hit, Layer, Tracer};
 use glam::{DAffine3, DMat3, DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
@@ -36,13 +37,37 @@ pub fn place(
     frame: Frame,
     samples_per_axis: u32,
 ) -> Receivers {
-    let cast = |origin, direction, length| tracer.closest(origin, direction, length);
+    let cast = |origin: Vec3, direction: Vec3, length: f32, found: &mut Vec<Layer>| {
+        see_through(tracer, (origin, direction), length, found);
+    };
     let sampling = Sampling::uniform(samples_per_axis);
     place_with(scene, &cast, (camera, frame), &sampling)
 }
 
-/// First hit along a ray from an origin (relative to the scene's) in a unit direction within a length.
-pub type Cast<'a> = &'a (dyn Fn(Vec3, Vec3, f32) -> Option<Hit> + Sync);
+/// Appends what is met along a ray from an origin (relative to the scene's) in a unit direction within a length, in order, up
+/// to the first that nothing passes through.
+pub type Cast<'a> = &'a (dyn Fn(Vec3, Vec3, f32, &mut Vec<Layer>) + Sync);
+
+/// Fills `found` with all that a ray from an origin in a unit direction meets within `length`, up to the first surface that
+/// nothing passes through. Returns the part of what is beyond that is seen, 0…1.
+pub fn see_through(
+    tracer: &Tracer,
+    (origin, direction): (Vec3, Vec3),
+    length: f32,
+    found: &mut Vec<Layer>,
+) -> f32 {
+    let solid = tracer.solid_closest(origin, direction, length);
+    let end = solid.map_or(length, |hit| hit.distance);
+    let open = tracer.layers((origin, direction), end, found);
+    let Some(hit) = solid.filter(|_| open > 0.0) else {
+        return open;
+    };
+    found.push(Layer { hit, opacity: 1.0 });
+    0.0
+}
+
+/// Layers that give less than this part of a sample are not looked at.
+const LEAST_PART: f32 = 1e-3;
 
 /// [`place`] with rays of one's own (`cast` leaves out what other things, lights, hide from the camera) at the places
 /// that `sampling` says.
@@ -111,7 +136,7 @@ pub fn backdrop(
     (camera, frame): (&Camera, Frame),
     sampling: &Sampling,
 ) -> Vec<Vec4> {
-    let nothing = |_, _, _| None;
+    let nothing = |_: Vec3, _: Vec3, _: f32, _: &mut Vec<Layer>| {};
     let view = View::new(scene, &nothing, (camera, frame), sampling);
     let pixel = |x: u32, y: u32| {
         let n = sampling.per_axis(x, y);
@@ -138,7 +163,7 @@ pub fn finer_at_lights(
     (camera, frame): (&Camera, Frame),
     samples_per_axis: u32,
 ) -> Sampling {
-    let nothing = |_, _, _| None;
+    let nothing = |_: Vec3, _: Vec3, _: f32, _: &mut Vec<Layer>| {};
     let uniform = Sampling::uniform(samples_per_axis);
     let view = View::new(scene, &nothing, (camera, frame), &uniform);
     let is_lit = |x, y| {
@@ -163,6 +188,8 @@ struct Seen {
     /// Unit.
     toward_eye: Vec3,
     front: bool,
+    /// Of its sample, above 0: the rest is of what is before and behind it.
+    part: f32,
 }
 
 /// A camera ray relative to the scene's origin.
@@ -210,19 +237,29 @@ impl<'a> View<'a> {
 
     fn row(&self, y: u32, width: u32) -> Row {
         let mut row = Vec::with_capacity(width as usize);
-        let mut clusters = Vec::new();
+        let (mut clusters, mut found) = (Vec::new(), Vec::new());
         for x in 0..width {
             clusters.clear();
             let n = self.sampling.per_axis(x, y);
             for sample in 0..n * n {
                 let [dx, dy] = place_of_sample(sample, n);
-                if let Some(seen) = self.look(f64::from(x) + dx, f64::from(y) + dy) {
-                    self.add(&mut clusters, seen);
+                let ray = self.ray(f64::from(x) + dx, f64::from(y) + dy);
+                found.clear();
+                (self.cast)(ray.origin, ray.direction, ray.length, &mut found);
+                let mut open = 1.0;
+                for layer in &found {
+                    let part = open * layer.opacity;
+                    open -= part;
+                    if part >= LEAST_PART {
+                        self.add(&mut clusters, self.seen(&ray, &layer.hit, part));
+                    }
                 }
             }
             for cluster in &clusters {
-                let share = cluster.len() as f32 / (n * n) as f32;
-                row.push((y * width + x, share, self.merge(cluster, share)));
+                let samples = (n * n) as f32;
+                let share = cluster.iter().map(|seen| seen.part).sum::<f32>() / samples;
+                let merged = self.merge(cluster, cluster.len() as f32 / samples);
+                row.push((y * width + x, share, merged));
             }
         }
         row
@@ -250,12 +287,10 @@ impl<'a> View<'a> {
         }
     }
 
-    /// What is seen through image point `(x, y)`, in pixels.
+    /// What `ray` meets at `hit`, which gives `part` of what is seen.
     #[expect(clippy::cast_possible_truncation, reason = "distances, rounded to f32")]
-    fn look(&self, x: f64, y: f64) -> Option<Seen> {
-        let ray = self.ray(x, y);
+    fn seen(&self, ray: &WorldRay, hit: &Hit, part: f32) -> Seen {
         let (direction, scale) = (ray.direction, ray.scale);
-        let hit = (self.cast)(ray.origin, direction, ray.length)?;
         let along = f64::from(hit.distance) / scale * ray.axial;
         let depth = self.lens.near_distance() + along;
         let world = PlacedMesh::of(self.scene, hit.prim);
@@ -266,7 +301,7 @@ impl<'a> View<'a> {
         // A pixel covers its area at that depth × cosine to the axis / cosine to the surface.
         let slant = geometric.dot(-direction).abs() / ray.axial as f32;
         let stretch = slant.max(MOST_STRETCH.powi(-2)).sqrt().recip();
-        Some(Seen {
+        Seen {
             position: world.position(t, hit.u, hit.v),
             normal: on_the_side_of(geometric, shading),
             geometric_normal: geometric,
@@ -280,7 +315,8 @@ impl<'a> View<'a> {
             depth: depth as f32,
             toward_eye: -direction,
             front: hit.front,
-        })
+            part,
+        }
     }
 
     /// Put `seen` to the first cluster of the same surface, or into a new one.
@@ -311,8 +347,8 @@ impl<'a> View<'a> {
     }
 
     /// One receiver for a cluster: at the mean of its points if they lie on one triangle, else at the one that is
-    /// nearest to the mean (the mean itself would be off the surface); with the mean shading normal. `share`: of its
-    /// pixel.
+    /// nearest to the mean (the mean itself would be off the surface); with the mean shading normal. `share`: of the
+    /// samples of its pixel.
     fn merge(&self, cluster: &[Seen], share: f32) -> Seen {
         let count = cluster.len() as f32;
         let mean = cluster.iter().map(|seen| seen.position).sum::<Vec3>() / count;

@@ -2,6 +2,7 @@
 
 pub mod camera;
 pub mod lens;
+pub mod points;
 pub mod primvar;
 pub mod sampling;
 pub mod surfel;

@@ -9,6 +9,9 @@ use std::sync::Arc;
 pub struct PrimId(pub u32);
 
 impl PrimId {
+    /// Of points that lie on no prim.
+    pub const NONE: Self = Self(u32::MAX);
+
     /// As an index.
     pub fn index(self) -> usize {
         self.0 as usize

@@ -107,9 +107,8 @@ impl<'a> Compiled<'a> {
         let emission = self.emission.at(&place).truncate();
         let radiance = |x: f32| if x.is_finite() { x.max(0.0) } else { 0.0 };
         Surface {
-            albedo: Vec3::from_array(diffuse.to_array().map(clamped))
-                * ((1.0 - metallic) * opacity),
-            emission: Vec3::from_array(emission.to_array().map(radiance)) * opacity,
+            albedo: Vec3::from_array(diffuse.to_array().map(clamped)) * (1.0 - metallic),
+            emission: Vec3::from_array(emission.to_array().map(radiance)),
             opacity,
         }
     }
@@ -132,9 +131,11 @@ impl<'a> Compiled<'a> {
         let color = |source: &Source<'_>| {
             Vec3::from_array(source.at(&place).truncate().to_array().map(clamped))
         };
-        let opacity = self.opacity(&place);
+        if self.opacity(&place) == 0.0 {
+            return Gloss::NONE;
+        }
         let roughness = number(&self.roughness);
-        let mut base = if self.specular_workflow {
+        let base = if self.specular_workflow {
             Lobe::of_color(color(&self.specular_color), roughness)
         } else {
             let (metallic, tint) = (number(&self.metallic), color(&self.diffuse));
@@ -142,9 +143,7 @@ impl<'a> Compiled<'a> {
             let f0 = (edge * reflectance(self.ior.at(&place).x)).lerp(edge, metallic);
             Lobe::new(f0, edge, roughness)
         };
-        base.f0 *= opacity;
-        base.f90 *= opacity;
-        let amount = number(&self.clearcoat) * opacity;
+        let amount = number(&self.clearcoat);
         let coat_f0 = reflectance(self.ior.at(&place).x) * amount;
         let coat_roughness = number(&self.clearcoat_roughness);
         let coat = Lobe::new(coat_f0, Vec3::splat(amount), coat_roughness);

@@ -2,13 +2,17 @@
 
 pub mod gloss;
 mod material;
+mod screens;
 mod textures;
 
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Light, LightGroup, MaterialId, Prim, PrimId, Scene};
+use crate::trace::Opacity;
 use glam::Vec3;
 use gloss::{Gloss, Lobe};
 use material::Compiled;
+use screens::Screens;
+pub use screens::may_be_screen;
 use std::path::Path;
 use std::sync::Arc;
 use textures::{Reads, Textures};
@@ -34,11 +38,13 @@ pub struct SurfacePoint {
 /// What a surface does with light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Surface {
-    /// Diffuse albedo, clamped to 0…1: `diffuseColor · (1 − metallic)` (all of it in the specular workflow), times opacity.
+    /// Diffuse albedo of what there is of it, clamped to 0…1: `diffuseColor · (1 − metallic)` (all of it in the specular
+    /// workflow).
     pub albedo: Vec3,
-    /// Emitted radiance of the front side times opacity, ≥ 0, finite.
+    /// Radiance that what there is of it emits from the front side, ≥ 0, finite.
     pub emission: Vec3,
-    /// 0…1. With a cut-out threshold: 0 or 1 at a point, the covered fraction over a footprint.
+    /// How much of it there is: the part of what falls on it that does not pass, 0…1. With a cut-out threshold: 0 or 1 at a
+    /// point, the covered fraction over a footprint. Where it is 0 the rest is black.
     pub opacity: f32,
 }
 
@@ -49,6 +55,8 @@ pub struct Shader<'a> {
     textures: Arc<Textures>,
     /// By [`MaterialId`]; `None` for materials on no prim of the scene.
     materials: Arc<[Option<Compiled<'a>>]>,
+    /// What light passes through; `None` where nothing is.
+    screens: Option<Arc<Screens>>,
     /// Only its sources shine; `None` = all do.
     group: Option<&'a LightGroup>,
 }
@@ -65,6 +73,11 @@ impl<'a> Shader<'a> {
         Self::with_textures(scene, Reads::Gloss, diagnostics)
     }
 
+    /// The same for who asks for nothing but [`Self::opacity`]: other textures are not decoded and give their fallbacks.
+    pub fn of_opacity(scene: &'a Scene, diagnostics: &Diagnostics) -> Self {
+        Self::with_textures(scene, Reads::Opacity, diagnostics)
+    }
+
     fn with_textures(scene: &'a Scene, reads: Reads, diagnostics: &Diagnostics) -> Self {
         let used = materials_in_use(scene);
         let in_use = || {
@@ -75,14 +88,23 @@ impl<'a> Shader<'a> {
         };
         let textures = Textures::load(in_use(), reads, diagnostics);
         let materials = scene.materials.iter().zip(&used);
+        let materials =
+            materials.map(|(material, used)| used.then(|| Compiled::new(material, &textures)));
+        let materials = materials.collect();
+        let textures = Arc::new(textures);
         Self {
             scene,
-            materials: materials
-                .map(|(material, used)| used.then(|| Compiled::new(material, &textures)))
-                .collect(),
-            textures: Arc::new(textures),
+            materials,
+            screens: Screens::of(scene, &textures).map(Arc::new),
+            textures,
             group: None,
         }
+    }
+
+    /// How much surfaces stop of what falls on them, for [`crate::trace::Tracer::among`]; `None` if all of it everywhere.
+    pub fn opacity(&self) -> Option<Arc<dyn Opacity>> {
+        let screens = self.screens.as_ref().map(Arc::clone);
+        screens.map(|screens| screens as Arc<dyn Opacity>)
     }
 
     /// The same materials and textures where only the sources of `group` shine.
@@ -92,6 +114,7 @@ impl<'a> Shader<'a> {
             scene: self.scene,
             textures: Arc::clone(&self.textures),
             materials: Arc::clone(&self.materials),
+            screens: self.screens.clone(),
             group: Some(group),
         }
     }
@@ -173,8 +196,12 @@ impl<'a> Shader<'a> {
         };
         let color = primvar("displayColor").map_or(NEUTRAL, glam::Vec4::truncate);
         let opacity = clamped(primvar("displayOpacity").map_or(1.0, |opacity| opacity.x));
+        let albedo = match opacity > 0.0 {
+            true => Vec3::from_array(color.to_array().map(clamped)),
+            false => Vec3::ZERO,
+        };
         Surface {
-            albedo: Vec3::from_array(color.to_array().map(clamped)) * opacity,
+            albedo,
             emission: Vec3::ZERO,
             opacity,
         }
@@ -345,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn albedo_loses_what_is_metallic_or_transparent() {
+    fn albedo_loses_what_is_metallic_and_is_of_what_is_not_transparent() {
         let material = Material {
             diffuse_color: Input::color(0.8, 0.4, 2.0),
             metallic: Input::scalar(0.5),
@@ -354,17 +381,17 @@ mod tests {
             ..Material::default()
         };
         let surface = at(&with_material(material.clone()), point(1.0, 0.5, 0.0));
-        assert_eq!(surface.albedo, Vec3::new(0.2, 0.1, 0.25));
+        assert_eq!(surface.albedo, Vec3::new(0.4, 0.2, 0.5));
         assert_eq!(
             (surface.emission, surface.opacity),
-            (Vec3::new(2.0, 0.0, 0.0), 0.5)
+            (Vec3::new(4.0, 0.0, 0.0), 0.5)
         );
         let specular = Material {
             specular_workflow: true,
             ..material
         };
         let surface = at(&with_material(specular), point(1.0, 0.5, 0.0));
-        assert_eq!(surface.albedo, Vec3::new(0.4, 0.2, 0.5));
+        assert_eq!(surface.albedo, Vec3::new(0.8, 0.4, 1.0));
     }
 
     #[test]

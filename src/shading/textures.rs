@@ -1,5 +1,6 @@
 //! The textures of a scene's materials, each decoded once, in parallel.
 
+use super::screens::may_be_screen;
 use crate::diagnostics::Diagnostics;
 use crate::image::{Error, Texture};
 use crate::scene::{ColorSpace, Input, Material, TextureRead};
@@ -21,7 +22,9 @@ pub(super) struct TextureId(usize);
 /// Which inputs have their textures decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Reads {
-    /// Those of diffuse surfaces and emission.
+    /// Those of opacity.
+    Opacity,
+    /// Those of diffuse surfaces and emission too.
     Diffuse,
     /// Those of glossy ones too.
     Gloss,
@@ -29,13 +32,14 @@ pub(super) enum Reads {
 
 /// Textures that `material` reads.
 fn reads(material: &Material, reads: Reads) -> impl Iterator<Item = &TextureRead> {
+    let opacity = [&material.opacity, &material.opacity_threshold];
+    let opacity = (opacity.into_iter()).filter(|_| may_be_screen(material));
     let diffuse = [
         &material.diffuse_color,
         &material.emissive_color,
         &material.metallic,
-        &material.opacity,
-        &material.opacity_threshold,
     ];
+    let diffuse = (diffuse.into_iter()).filter(move |_| reads != Reads::Opacity);
     let gloss = [
         &material.roughness,
         &material.specular_color,
@@ -45,7 +49,7 @@ fn reads(material: &Material, reads: Reads) -> impl Iterator<Item = &TextureRead
     ];
     let gloss = gloss.into_iter().filter(move |_| reads == Reads::Gloss);
     diffuse
-        .into_iter()
+        .chain(opacity)
         .chain(gloss)
         .filter_map(|input| match input {
             Input::Texture(read) => Some(read.as_ref()),

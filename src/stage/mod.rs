@@ -6,6 +6,7 @@ pub mod cloud;
 mod composition;
 pub mod materialx;
 pub mod native;
+pub mod opacity;
 pub mod passes;
 pub mod raw;
 pub mod validate;
@@ -160,6 +161,8 @@ pub struct ReadSettings {
     pub composition: Composition,
     /// Materials, displayColor and the primvars they read.
     pub materials: bool,
+    /// What tells whether anything lets light through ([`opacity::may_pass`]), where materials are not read.
+    pub opacity: bool,
     /// Lights.
     pub lights: bool,
     /// Every primvar of meshes that is one of numbers, not only those that materials read.
@@ -176,6 +179,7 @@ impl Default for ReadSettings {
             mask: Vec::new(),
             composition: Composition::default(),
             materials: true,
+            opacity: false,
             lights: true,
             all_primvars: false,
             refine_edge: None,
@@ -206,7 +210,7 @@ pub fn compose(
     diagnostics: &Diagnostics,
 ) -> Result<RawStage, Error> {
     let raw = source.load(&Request::for_settings(settings), diagnostics)?;
-    let raw = match settings.materials {
+    let raw = match settings.materials || settings.opacity {
         true => materialx::graft(raw, diagnostics),
         false => raw,
     };

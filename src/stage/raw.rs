@@ -175,6 +175,9 @@ impl Request {
                 "collection:*",
             ]);
         }
+        if settings.opacity {
+            attributes.extend(super::opacity::ATTRIBUTES);
+        }
         if settings.all_primvars {
             attributes.push("primvars:*");
         }

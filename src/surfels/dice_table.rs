@@ -22,6 +22,8 @@ enum Cells {
     Mixed {
         triangles: Box<[u32]>,
         diced: Box<[TriangleDice]>,
+        /// Numbers of the first cells of the rows of all of `diced`, so that a cell is found without a search.
+        row_starts: Box<[u32]>,
     },
 }
 
@@ -51,7 +53,7 @@ impl DiceTable {
                 entries[*t as usize] = cluster;
             }
         }
-        let mut diced = Vec::new();
+        let (mut diced, mut row_starts) = (Vec::new(), Vec::new());
         let (mut next, mut diced_count) = (0, 0_u32);
         for (entry, points) in entries.iter_mut().zip(triangles) {
             if *entry != NOTHING {
@@ -62,7 +64,7 @@ impl DiceTable {
                 Dicing::Nothing => NOTHING,
                 Dicing::Whole => next,
                 Dicing::Cells(dice) => {
-                    diced.push(dice.starting_at(next));
+                    diced.push(dice.placed(next, &mut row_starts));
                     diced_count += 1;
                     DICED | (diced_count - 1)
                 }
@@ -84,6 +86,7 @@ impl DiceTable {
                 Cells::Mixed {
                     triangles: entries.into(),
                     diced: diced.into(),
+                    row_starts: row_starts.into(),
                 }
             },
             clusters,
@@ -146,11 +149,15 @@ impl DiceTable {
     pub fn cell_at(&self, t: u32, u: f32, v: f32) -> Option<u32> {
         match &self.cells {
             Cells::OnePerTriangle => Some(t),
-            Cells::Mixed { triangles, diced } => match triangles[t as usize] {
+            Cells::Mixed {
+                triangles,
+                diced,
+                row_starts,
+            } => match triangles[t as usize] {
                 NOTHING => None,
                 entry if entry & DICED != 0 => {
                     let dice = &diced[(entry ^ DICED) as usize];
-                    Some(dice.cell_at(Vec3::new(1.0 - u - v, u, v)))
+                    Some(dice.cell_at(Vec3::new(1.0 - u - v, u, v), row_starts))
                 }
                 cell => Some(cell),
             },
@@ -161,7 +168,11 @@ impl DiceTable {
     pub fn bytes(&self) -> usize {
         let cells = match &self.cells {
             Cells::OnePerTriangle => 0,
-            Cells::Mixed { triangles, diced } => size_of_val(&**triangles) + size_of_val(&**diced),
+            Cells::Mixed {
+                triangles,
+                diced,
+                row_starts,
+            } => size_of_val(&**triangles) + size_of_val(&**diced) + size_of_val(&**row_starts),
         };
         size_of::<Self>() + cells + self.clusters.bytes()
     }

@@ -29,7 +29,7 @@ pub struct SurfelCloud {
     /// Radius of a disk that covers the micropolygon or cluster of triangles (footprint; for most larger than
     /// `sqrt(area/π)`).
     pub radius: Vec<f32>,
-    /// True area of the micropolygon or cluster, stage units².
+    /// True area of the micropolygon or cluster, without what is cut out of it or transparent, stage units².
     pub area: Vec<f32>,
     /// Radiosity: emission + reflected light (π · outgoing radiance of a diffuse surface).
     pub radiosity: Vec<Vec3>,
@@ -89,6 +89,32 @@ impl SurfelCloud {
             all.spacing = if finer { cloud.spacing } else { all.spacing };
         }
         all
+    }
+
+    /// The same without surfels that nothing is left of: they have no area.
+    #[must_use]
+    pub fn without_holes(self) -> Self {
+        fn kept<T: Copy>(area: &[f32], column: Vec<T>) -> Vec<T> {
+            let rows = area.iter().zip(column);
+            rows.filter(|(area, _)| **area > 0.0)
+                .map(|(_, value)| value)
+                .collect()
+        }
+        if self.area.iter().all(|area| *area > 0.0) {
+            return self;
+        }
+        let area = &self.area;
+        Self {
+            position: kept(area, self.position),
+            normal: kept(area, self.normal),
+            radius: kept(area, self.radius),
+            radiosity: kept(area, self.radiosity),
+            albedo: kept(area, self.albedo),
+            emission: kept(area, self.emission),
+            prim: kept(area, self.prim),
+            area: kept(area, self.area.clone()),
+            ..self
+        }
     }
 
     /// The reflected part of the radiosity of surfel `i`: never negative.

@@ -98,7 +98,6 @@ pub struct Cell {
 #[expect(
     clippy::cast_precision_loss,
     clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
     reason = "rows and columns are below 2^16, products of three below 2^50 and summed as u64"
 )]
 impl Part {
@@ -181,14 +180,22 @@ impl Part {
             (column as f32 + 0.25 + 0.5 * along) / row.count as f32,
         )
     }
+}
 
-    /// Number of the cell at `weights` of tip and ends; points outside count for the nearest row and column.
-    fn cell_at(&self, [tip, left, right]: [f32; 3]) -> u32 {
-        let row = ((1.0 - tip) * self.rows as f32) as u32;
-        let row = self.row(row.min(self.rows - 1));
-        let across = right / (left + right).max(f32::MIN_POSITIVE);
-        row.first + ((across * row.count as f32) as u32).min(row.count - 1)
-    }
+/// Number of the cell at `weights` of tip and ends in the part whose rows begin with the cells `starts`, which ends with
+/// the end of the last row; points outside count for the nearest row and column.
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "rows and columns are below 2^16"
+)]
+fn cell_in(starts: &[u32], [tip, left, right]: [f32; 3]) -> u32 {
+    let last = starts.len() - 2;
+    let row = (((1.0 - tip) * (last + 1) as f32) as usize).min(last);
+    let (first, count) = (starts[row], starts[row + 1] - starts[row]);
+    let across = right / (left + right).max(f32::MIN_POSITIVE);
+    first + ((across * count as f32) as u32).min(count - 1)
 }
 
 /// How a triangle of more than one cell is cut.
@@ -196,6 +203,8 @@ impl Part {
 pub struct TriangleDice {
     /// Number of its first cell within its prim.
     first: u32,
+    /// Where its rows begin among those of its prim.
+    rows_at: u32,
     /// Foot of the altitude on the longest edge, 0…1; 0 = one part only.
     foot: f32,
     grids: [Grid; 2],
@@ -256,6 +265,7 @@ impl Dicing {
         }
         Self::Cells(TriangleDice {
             first: 0,
+            rows_at: 0,
             foot: 0.0,
             grids: [grid; 2],
             apex: corner_number(apex),
@@ -272,6 +282,7 @@ impl Dicing {
         let altitude = 2.0 * area / length;
         Self::Cells(TriangleDice {
             first: 0,
+            rows_at: 0,
             foot,
             grids: [
                 Grid::of_right_triangle(along, altitude, spacing),
@@ -310,10 +321,27 @@ impl TriangleDice {
         self.first
     }
 
-    /// The same cut with its cells numbered from `first`.
+    /// The same cut with its cells numbered from `first`; appends the numbers of the first cells of its rows, and where
+    /// they end, to `row_starts`.
+    ///
+    /// # Panics
+    /// With more than 2³² rows.
     #[must_use]
-    pub fn starting_at(self, first: u32) -> Self {
-        Self { first, ..self }
+    pub fn placed(self, first: u32, row_starts: &mut Vec<u32>) -> Self {
+        let rows_at = u32::try_from(row_starts.len()).expect("rows are numbered with 32 bits");
+        let mut start = first;
+        for part in self.parts() {
+            for row in 0..part.row_count() {
+                row_starts.push(start);
+                start += part.columns_of(row);
+            }
+        }
+        row_starts.push(start);
+        Self {
+            first,
+            rows_at,
+            ..self
+        }
     }
 
     fn is_split(&self) -> bool {
@@ -347,12 +375,14 @@ impl TriangleDice {
         }
     }
 
-    /// Number (within its prim) of the cell at `point`.
-    pub fn cell_at(&self, point: Barycentric) -> u32 {
+    /// Number (within its prim) of the cell at `point`, once [`Self::placed`] with `row_starts`.
+    pub fn cell_at(&self, point: Barycentric, row_starts: &[u32]) -> u32 {
+        let rows = self.grids.map(|grid| usize::from(grid.rows));
+        let starts = &row_starts[self.rows_at as usize..];
         let weight = |k: usize| point[(usize::from(self.apex) + k) % 3];
         let (apex, start, end) = (weight(0), weight(1), weight(2));
         if !self.is_split() {
-            return self.first + self.part(0).cell_at([apex, start, end]);
+            return cell_in(&starts[..=rows[0]], [apex, start, end]);
         }
         // The point in terms of (start, foot, apex) or (foot, end, apex).
         let before_foot = start * self.foot - end * (1.0 - self.foot);
@@ -363,7 +393,7 @@ impl TriangleDice {
             } else {
                 [start, foot, apex]
             };
-            self.first + self.part(0).cell_at(weights)
+            cell_in(&starts[..=rows[0]], weights)
         } else {
             let rest = 1.0 - self.foot;
             let (end, foot) = (-before_foot / rest, start / rest);
@@ -372,7 +402,7 @@ impl TriangleDice {
             } else {
                 [end, apex, foot]
             };
-            self.first + self.part(0).cell_count() + self.part(1).cell_at(weights)
+            cell_in(&starts[rows[0]..=rows[0] + rows[1]], weights)
         }
     }
 }
@@ -488,7 +518,9 @@ mod tests {
             let (a, b) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
             let point = Vec3::new(1.0 - a - b, a, b);
             let cells = cells(&dice);
-            let cell = cells[dice.cell_at(point) as usize];
+            let mut row_starts = vec![3];
+            let dice = dice.placed(7, &mut row_starts);
+            let cell = cells[(dice.cell_at(point, &row_starts) - 7) as usize];
             // In barycentric coordinates (y, z) the cell is a convex quadrangle: the point is on one side of all edges.
             let flat = |w: Vec3| (w.y, w.z);
             let mut signs = (0.0_f32, 0.0_f32);
@@ -503,12 +535,14 @@ mod tests {
         #[test]
         fn quarters_of_a_cell_find_the_cell(c in corners(), spacing in 0.05_f32..0.5) {
             let Dicing::Cells(dice) = Dicing::new(c, spacing) else { return Ok(()) };
+            let mut row_starts = Vec::new();
+            let dice = dice.placed(0, &mut row_starts);
             let mut number = 0;
             for part in dice.parts() {
                 for row in (0..part.row_count()).map(|row| part.row(row)) {
                     for column in 0..row.count {
                         for quarter in 0..4 {
-                            prop_assert_eq!(dice.cell_at(part.quarter(row, column, quarter)), number);
+                            prop_assert_eq!(dice.cell_at(part.quarter(row, column, quarter), &row_starts), number);
                         }
                         number += 1;
                     }

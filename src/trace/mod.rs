@@ -8,6 +8,7 @@
 
 mod packet;
 mod ray;
+mod screens;
 mod triangles;
 mod wide;
 
@@ -17,6 +18,9 @@ use fearless_simd::{Level, Simd, dispatch};
 use glam::{Affine3A, Vec3};
 use ray::Ray;
 use rayon::prelude::*;
+use screens::Screens;
+pub use screens::{Layer, Opacity};
+use std::sync::Arc;
 use triangles::{LocalHit, Triangles};
 use wide::{FARTHEST_FIRST, Item, LEAF_SIZE, Leaf, NEAREST_FIRST, Wide};
 
@@ -51,6 +55,8 @@ pub struct Tracer {
     magnitude: f32,
     /// Instructions of this machine.
     level: Level,
+    /// Prims that let light through, which are in none of the above; `None` where none does.
+    screens: Option<Screens>,
 }
 
 /// Several prims in one hierarchy.
@@ -91,27 +97,42 @@ const SCENE_SHARE: f32 = 0.25;
 
 impl Tracer {
     /// Build it; cost O(n log n) in triangles, instances share theirs. Prims whose transform cannot be inverted have
-    /// no area and are left out.
+    /// no area and are left out. Every surface stops all light.
     pub fn new(scene: &Scene) -> Self {
-        Self::among(scene, |_| true)
+        Self::among(scene, None, |_| true)
     }
 
-    /// [`Self::new`] of the prims for which `is_in` holds; all else lets rays pass.
-    pub fn among(scene: &Scene, is_in: impl Fn(PrimId) -> bool) -> Self {
-        Self::with_copies(scene, MOST_COPIES, is_in)
+    /// [`Self::new`] of the prims for which `is_in` holds; all else lets rays pass. Surfaces stop as much light as `opacity`
+    /// says, all of it without one.
+    pub fn among(
+        scene: &Scene,
+        opacity: Option<Arc<dyn Opacity>>,
+        is_in: impl Fn(PrimId) -> bool,
+    ) -> Self {
+        let is_screen = |prim| opacity.as_ref().is_some_and(|all| all.is_screen(prim));
+        let solid = Self::with_copies(scene, MOST_COPIES, |prim| is_in(prim) && !is_screen(prim));
+        let has_screens = ids(scene).any(|prim| is_in(prim) && is_screen(prim));
+        let screens = opacity.as_ref().filter(|_| has_screens).map(|opacity| {
+            let is_in = |prim| is_in(prim) && is_screen(prim);
+            Screens {
+                prims: Box::new(Self::with_copies(scene, MOST_COPIES, is_in)),
+                opacity: Arc::clone(opacity),
+            }
+        });
+        Self { screens, ..solid }
     }
 
     /// [`Self::new`] with at most so many triangles of copies in the world.
     fn with_copies(scene: &Scene, most_copies: usize, is_in: impl Fn(PrimId) -> bool) -> Self {
         let is_copied = copied(scene, most_copies);
-        let prims = (0_u32..).map(PrimId).zip(&scene.prims);
+        let prims = ids(scene).zip(&scene.prims);
         let prims = prims.filter(|(id, _)| is_in(*id));
         let (owned, transformed): (Vec<_>, Vec<_>) =
             prims.partition(|(_, prim)| is_copied[prim.mesh.index()]);
-        let ids = |prims: Vec<(PrimId, &Prim)>| -> Vec<PrimId> {
+        let ids_of = |prims: Vec<(PrimId, &Prim)>| -> Vec<PrimId> {
             prims.into_iter().map(|(id, _)| id).collect()
         };
-        let (owned, transformed) = (ids(owned), ids(transformed));
+        let (owned, transformed) = (ids_of(owned), ids_of(transformed));
         let (world, (shared, occurrences)) = rayon::join(
             || Group::new(scene, &owned),
             || build_shared(scene, &transformed),
@@ -130,13 +151,27 @@ impl Tracer {
             top,
             magnitude,
             level: Level::new(),
+            screens: None,
         }
     }
 
     /// First hit along the unit `direction` with distance in (0, `max_distance`); of several at the same distance that of
     /// the first prim and its first triangle. None if a number is not finite
-    /// (`max_distance` may be infinite).
+    /// (`max_distance` may be infinite). A surface that lets light through counts where, with those before it, it stops at
+    /// least half.
+    #[inline]
     pub fn closest(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Hit> {
+        let solid = self.solid_closest(origin, direction, max_distance);
+        let Some(screens) = &self.screens else {
+            return solid;
+        };
+        let (end, mut layers) = (end_of(solid, max_distance), Vec::new());
+        screens.pass((origin, direction), end, &mut layers);
+        Self::hides_most(&layers, solid)
+    }
+
+    /// [`Self::closest`] among surfaces that let nothing through.
+    pub fn solid_closest(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<Hit> {
         dispatch!(self.level, simd => self.find_closest(simd, origin, direction, max_distance))
     }
 
@@ -171,8 +206,18 @@ impl Tracer {
         best
     }
 
-    /// True if anything lies along the unit `direction` closer than `max_distance`.
+    /// True if what lies along the unit `direction` closer than `max_distance` stops at least half of the light.
+    #[inline]
     pub fn occluded(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> bool {
+        self.solid_occluded(origin, direction, max_distance)
+            || (self.screens.as_ref()).is_some_and(|screens| {
+                let ray = (origin, direction);
+                screens.pass(ray, max_distance, &mut Vec::new()) <= screens::MOST_OPEN
+            })
+    }
+
+    /// [`Self::occluded`] by surfaces that let nothing through.
+    pub fn solid_occluded(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> bool {
         dispatch!(self.level, simd => self.find_any(simd, origin, direction, max_distance))
     }
 
@@ -221,6 +266,7 @@ impl Tracer {
             + shared
             + self.occurrences.capacity() * size_of::<Occurrence>()
             + self.top.bytes()
+            + (self.screens.as_ref()).map_or(0, |screens| screens.prims.bytes())
     }
 
     #[inline(always)]
@@ -332,6 +378,15 @@ fn copied(scene: &Scene, most_copies: usize) -> Vec<bool> {
         (left, is_copied[mesh]) = (rest, true);
     }
     is_copied
+}
+
+fn ids(scene: &Scene) -> impl Iterator<Item = PrimId> {
+    (0_u32..).map(PrimId).take(scene.prims.len())
+}
+
+/// Where a ray that meets `solid`, or nothing before `max_distance`, ends.
+fn end_of(solid: Option<Hit>, max_distance: f32) -> f32 {
+    solid.map_or(max_distance, |hit| hit.distance)
 }
 
 fn corners_of(mesh: &Mesh) -> impl Iterator<Item = [Vec3; 3]> {

@@ -1,11 +1,12 @@
 //! Rays of one direction against the scene, up to 64 at once: the same hits as one at a time, sooner.
 
 use super::ray::Line;
+use super::screens::MOST_OPEN;
 use super::triangles::PacketHits;
 use super::wide::{
     Column, FARTHEST_FIRST, LANES, NEAREST_FIRST, PACKET_SIZE, Packet, ROWS, load, row_of,
 };
-use super::{Hit, Occurrence, Tracer};
+use super::{Hit, Occurrence, Tracer, end_of};
 use crate::math::bits::bits_of;
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, dispatch};
@@ -30,6 +31,28 @@ impl Tracer {
         max_distance: f32,
         active: u64,
     ) -> u64 {
+        let mut blocked = self.solid_occluded_along(direction, origins, max_distance, active);
+        if let Some(screens) = &self.screens {
+            let mut layers = Vec::new();
+            for i in bits_of(active & !blocked & mask_of(origins.len())) {
+                let open = screens.pass((origins[i], direction), max_distance, &mut layers);
+                blocked |= u64::from(open <= MOST_OPEN) << i;
+            }
+        }
+        blocked
+    }
+
+    /// [`Self::occluded_along`] by surfaces that let nothing through.
+    ///
+    /// # Panics
+    /// With more than 64 origins.
+    pub fn solid_occluded_along(
+        &self,
+        direction: Vec3,
+        origins: &[Vec3],
+        max_distance: f32,
+        active: u64,
+    ) -> u64 {
         dispatch!(self.level, simd => {
             match Query::new(simd, (direction, origins), max_distance, active) {
                 Some(query) => self.find_any_of(simd, query),
@@ -44,6 +67,28 @@ impl Tracer {
     /// # Panics
     /// With more than 64 origins, or fewer hits than origins.
     pub fn closest_along(
+        &self,
+        direction: Vec3,
+        origins: &[Vec3],
+        (max_distance, active): (f32, u64),
+        hits: &mut [Option<Hit>],
+    ) {
+        self.solid_closest_along(direction, origins, (max_distance, active), hits);
+        if let Some(screens) = &self.screens {
+            let mut layers = Vec::new();
+            for i in bits_of(active & mask_of(origins.len())) {
+                let end = end_of(hits[i], max_distance);
+                screens.pass((origins[i], direction), end, &mut layers);
+                hits[i] = Self::hides_most(&layers, hits[i]);
+            }
+        }
+    }
+
+    /// [`Self::closest_along`] among surfaces that let nothing through.
+    ///
+    /// # Panics
+    /// With more than 64 origins, or fewer hits than origins.
+    pub fn solid_closest_along(
         &self,
         direction: Vec3,
         origins: &[Vec3],
@@ -117,6 +162,15 @@ impl Tracer {
     }
 }
 
+/// Bits of the first `count` rays.
+fn mask_of(count: usize) -> u64 {
+    if count < PACKET_SIZE {
+        (1 << count) - 1
+    } else {
+        u64::MAX
+    }
+}
+
 const NONE_BEFORE: Column<u32> = [[0; LANES]; ROWS];
 
 impl Query {
@@ -142,11 +196,7 @@ impl Query {
                 column[i / LANES][i % LANES] = place[axis];
             }
         }
-        let given = if places.len() < PACKET_SIZE {
-            (1 << places.len()) - 1
-        } else {
-            u64::MAX
-        };
+        let given = mask_of(places.len());
         let ends = ([[max_distance.min(f32::MAX); LANES]; ROWS], NONE_BEFORE);
         let packet = Packet::new(simd, line, &origins, (&ends.0, &ends.1), active & given);
         Some(Self { origins, packet })

@@ -12,7 +12,7 @@
 mod packet;
 
 use super::ray::{Line, Ray};
-use super::wide::{FARTHEST_FIRST, Item, LEAF_SIZE, NEAREST_FIRST, Wide};
+use super::wide::{FARTHEST_FIRST, Item, LEAF_SIZE, Leaf, NEAREST_FIRST, Wide};
 use crate::math::Bounds3;
 use crate::math::bits::bits_of;
 use fearless_simd::prelude::*;
@@ -76,7 +76,7 @@ impl Triangles {
                 index: index as u32,
             }
         });
-        let tree = Wide::build(items.collect());
+        let tree = Wide::build(items);
         let blocks = (tree.order.chunks_exact(LEAF_SIZE))
             .map(|lanes| Block::new(lanes, corners))
             .collect();
@@ -125,6 +125,28 @@ impl Triangles {
             },
         );
         hit
+    }
+
+    /// Hands the hits in `leaf` closer than the ray's limit, which may be drawn nearer, to `keep`.
+    #[inline(always)]
+    pub(super) fn each_hit<S: Simd>(
+        &self,
+        simd: S,
+        leaf: Leaf,
+        ray: &mut Ray,
+        mut keep: impl FnMut(LocalHit, &mut Ray),
+    ) {
+        let sheared = self.blocks[leaf.block].sheared(simd, &ray.line);
+        let Some(lanes) = sheared.meet(simd, ray.place, ray.line.scale) else {
+            return;
+        };
+        for lane in bits_of(lanes.met.inside) {
+            let distance = lanes.distance[lane];
+            if 0.0 < distance && distance < ray.max_distance {
+                let triangle = self.tree.order[leaf.block * LEAF_SIZE + lane];
+                keep(lanes.met.hit(lane, distance, triangle), ray);
+            }
+        }
     }
 
     /// Bytes held.

@@ -2,6 +2,7 @@
 
 mod boxes;
 mod build;
+mod extent;
 mod packet;
 
 use super::ray::Ray;

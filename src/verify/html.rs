@@ -3,9 +3,9 @@
 use super::histogram::histogram;
 use super::plot::{Measure, engine_color, pareto};
 use super::{ErrorPicture, Row, TruthSummary, VerifyReport};
-use crate::writers::base64;
 use crate::writers::image::png_of_rgb;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use crate::writers::page::{document, png_address};
+use maud::{Markup, PreEscaped, html};
 
 const STYLE: &str = "body{font:14px/1.45 system-ui,sans-serif;margin:24px auto;max-width:1120px;padding:0 16px;color:#222}\
 h1{font-size:22px;margin:0 0 4px}h2{font-size:18px;margin:32px 0 8px;border-bottom:1px solid #ddd}h3{font-size:14px;margin:18px 0 4px}\
@@ -19,24 +19,13 @@ p.note{color:#555;font-size:12.5px;max-width:80ch}.bar{width:340px;height:10px;b
 
 /// The page as HTML.
 pub fn page(report: &VerifyReport) -> String {
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width";
-                title { "surflux verify: " (report.stage) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                h1 { "Speed against error: " (report.stage) }
-                (summary(report))
-                @for truth in aovs(report) { (section(report, truth)) }
-                @if !report.warnings.is_empty() { (warnings(report)) }
-            }
-        }
-    }
-    .into_string()
+    let body = html! {
+        h1 { "Speed against error: " (report.stage) }
+        (summary(report))
+        @for truth in aovs(report) { (section(report, truth)) }
+        @if !report.warnings.is_empty() { (warnings(report)) }
+    };
+    document(&format!("surflux verify: {}", report.stage), STYLE, &body)
 }
 
 /// One truth for each AOV, in order.
@@ -165,7 +154,7 @@ fn figure(picture: &ErrorPicture) -> Markup {
     html! {
         figure {
             figcaption { (picture.title) }
-            img alt=(picture.title) src=(format!("data:image/png;base64,{}", base64(&png)));
+            img alt=(picture.title) src=(png_address(&png));
             div.bar {}
             div.ends {
                 span { (format!("−{}", percent(picture.scale))) } span { "0" } span { (format!("+{}", percent(picture.scale))) }

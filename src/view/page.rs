@@ -8,9 +8,10 @@ use super::colors::SCALE;
 use super::subject::{Shape, Subject};
 use crate::scene::Camera;
 use crate::writers::base64;
+use crate::writers::page::document;
 use glam::Vec3;
 use half::f16;
-use maud::{DOCTYPE, PreEscaped, html};
+use maud::{PreEscaped, html};
 use serde_json::{Value, json};
 
 const STYLE: &str = include_str!("page.css");
@@ -26,36 +27,25 @@ pub fn page(subject: &Subject, first: &str, camera: Option<&Camera>) -> String {
     let about = about(subject, &mut data, first, camera);
     // a script ends at the first "</", wherever it stands
     let about = about.to_string().replace('<', "\\u003c");
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width";
-                title { "surflux view: " (subject.title) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                canvas id="canvas" {}
-                div id="panel" {
-                    b { (subject.title) }
-                    span id="counts" {}
-                    label { "shown " select id="left" {} }
-                    label { "beside " select id="right" {} }
-                    label { "stops " input id="stops" type="range" min="-10" max="10" step="0.1"; }
-                    label { "size " input id="size" type="range" min="0.25" max="3" step="0.05" value="1"; }
-                    label { input id="back" type="checkbox"; " back faces" }
-                    button id="home" { "whole" }
-                }
-                div id="scales" {}
-                pre id="values" { "drag: orbit · shift or right button: move · wheel: zoom · click: values" }
-                script id="about" type="application/json" { (PreEscaped(about)) }
-                script id="data" type="text/plain" { (PreEscaped(base64(&data.bytes))) }
-                script { (PreEscaped(PROGRAM)) }
-            }
+    let body = html! {
+        canvas id="canvas" {}
+        div id="panel" {
+            b { (subject.title) }
+            span id="counts" {}
+            label { "shown " select id="left" {} }
+            label { "beside " select id="right" {} }
+            label { "stops " input id="stops" type="range" min="-10" max="10" step="0.1"; }
+            label { "size " input id="size" type="range" min="0.25" max="3" step="0.05" value="1"; }
+            label { input id="back" type="checkbox"; " back faces" }
+            button id="home" { "whole" }
         }
-    }
-    .into_string()
+        div id="scales" {}
+        pre id="values" { "drag: orbit · shift or right button: move · wheel: zoom · click: values" }
+        script id="about" type="application/json" { (PreEscaped(about)) }
+        script id="data" type="text/plain" { (PreEscaped(base64(&data.bytes))) }
+        script { (PreEscaped(PROGRAM)) }
+    };
+    document(&format!("surflux view: {}", subject.title), STYLE, &body)
 }
 
 /// Everything but the arrays: where these are in `data`, and how to look.

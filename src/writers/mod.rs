@@ -1,7 +1,8 @@
-//! Results → files: EXR, PNG, primvar layers, clouds. Each under a temporary name, then renamed.
+//! Results → files: EXR, PNG, primvar layers, clouds, pages. Each under a temporary name, then renamed.
 
 mod base64;
 pub mod image;
+pub mod page;
 pub mod usd;
 mod whole;
 

@@ -14,7 +14,7 @@ use glam::Vec3;
 use scenes::{SceneBuilder, Side, bowl, plate, room};
 use surflux::bake::{BakeSettings, bake};
 use surflux::gather::maps::MapsPlan;
-use surflux::gather::{GatherScene, RadianceSource, RaysEngine, RaysSettings};
+use surflux::gather::{DicedSurfels, GatherScene, RadianceSource, RaysEngine, RaysSettings};
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::math::Bounds3;
 use surflux::pilot::{LightScenes, Maps, Method, Outcome, Pilot, choose, picks};
@@ -131,11 +131,11 @@ fn light_in_a_room(bencher: Bencher<'_, '_>, tolerance: f64) {
             tracer: &tracer,
             lighting: Some(&lighting),
         },
-        source: Some(RadianceSource::Baked {
-            cloud: &baked.cloud,
-            dice: &baked.dice,
-            near: None,
-        }),
+        source: Some(RadianceSource::Baked(DicedSurfels::new(
+            &baked.cloud,
+            &baked.dice,
+            None,
+        ))),
         receivers: &dense::vertices(&scene),
         maps: Maps::Never,
     };

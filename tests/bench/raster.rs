@@ -11,8 +11,8 @@ use surflux::diagnostics::Diagnostics;
 use surflux::gather::estimate::spread;
 use surflux::gather::paper::{PaperEngine, PaperSettings};
 use surflux::gather::{
-    Engine, GatherScene, RadianceSource, RasterEngine, RasterSettings, RaysEngine, RaysSettings,
-    gather,
+    DicedSurfels, Engine, GatherScene, RadianceSource, RasterEngine, RasterSettings, RaysEngine,
+    RaysSettings, gather,
 };
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::octree::Octree;
@@ -91,11 +91,7 @@ fn compare(scene: &Scene, surfels: usize, width: usize) {
     let all = receivers(scene, &tracer, width);
     println!("{} surfels, {} receivers", baked.cloud.len(), all.len());
     let rays = |rays, turn| {
-        let source = RadianceSource::Baked {
-            cloud: &baked.cloud,
-            dice: &baked.dice,
-            near: None,
-        };
+        let source = RadianceSource::Baked(DicedSurfels::new(&baked.cloud, &baked.dice, None));
         let settings = RaysSettings {
             rays,
             turn,

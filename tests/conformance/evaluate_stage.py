@@ -264,7 +264,7 @@ class Evaluation:
             values, interpolation = primvar.ComputeFlattened(self.time), primvar.GetInterpolation()
         else:
             values, interpolation = mesh.GetNormalsAttr().Get(self.time), mesh.GetNormalsInterpolation()
-        if not values:
+        if not values or abs(np.linalg.det(place[:3, :3])) < 1e-30:
             return None
         normals = np.array(values, dtype=float)
         found = self.skinning(prim)
@@ -280,8 +280,9 @@ class Evaluation:
 
     def turned(self, skinning, query, normals, corners):
         joints = query.ComputeSkinningTransforms(self.time)
-        mapper = skinning.GetJointMapper()
-        joints = mapper.RemapTransforms(joints) if mapper else joints
+        if skinning.GetJointMapper():
+            known = dict(zip(query.GetJointOrder(), joints))
+            joints = [known.get(name, Gf.Matrix4d(1)) for name in skinning.GetJointOrder()]
         count = len(normals) if corners is None else int(corners.max()) + 1
         which, weights = skinning.ComputeVaryingJointInfluences(count, self.time)
         width = len(which) // count

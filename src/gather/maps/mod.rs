@@ -16,6 +16,7 @@
 //! [`gather()`] hands those with too many to another engine.
 
 mod axes;
+mod borders;
 mod cost;
 mod crowd;
 mod decimate;

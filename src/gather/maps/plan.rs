@@ -1,6 +1,7 @@
 //! Scene → what the maps draw: prims sorted by how dense their triangles are, and the few flat ones that are better
 //! tested exactly.
 
+use super::borders::Edges;
 use super::flat::{self, Flat};
 use crate::math::Bounds3;
 use crate::scene::{Mesh, Prim, PrimId, Scene};
@@ -28,6 +29,8 @@ pub struct MapsPlan<'a> {
     pub(super) flats: Vec<Flat>,
     /// Of each mesh: see [`Self::normals`].
     normals: Vec<OnceLock<Vec<Vec3>>>,
+    /// Of each mesh: see [`Self::edges`].
+    edges: Vec<OnceLock<Edges>>,
 }
 
 /// Prims that share a map.
@@ -96,12 +99,19 @@ impl<'a> MapsPlan<'a> {
             classes: classify(scene, &forms, occluders),
             flats,
             normals: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
+            edges: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
         }
     }
 
     /// Area-weighted normals of the positions of a mesh, twice the area long, zero where nothing is attached.
     pub(super) fn normals(&self, mesh: usize) -> &[Vec3] {
         self.normals[mesh].get_or_init(|| normals(&self.scene.meshes[mesh]))
+    }
+
+    /// Edges of the mesh of a prim that maps are blind at.
+    pub(super) fn edges(&self, occluder: &Occluder) -> &Edges {
+        let mesh = self.scene.prims[occluder.prim.index()].mesh.index();
+        self.edges[mesh].get_or_init(|| Edges::of(&self.scene.meshes[mesh], self.normals(mesh)))
     }
 
     /// Mean edge of the densest prims, stage units: the unit of [`super::MapsSettings::pixel`]. 0 if nothing is drawn
@@ -177,7 +187,7 @@ fn corners(mesh: &Mesh, t: &[u32; 3]) -> [Vec3; 3] {
     [p[t[0] as usize], p[t[1] as usize], p[t[2] as usize]]
 }
 
-fn normals(mesh: &Mesh) -> Vec<Vec3> {
+pub(super) fn normals(mesh: &Mesh) -> Vec<Vec3> {
     let mut normals = vec![Vec3::ZERO; mesh.positions.len()];
     for t in &mesh.triangles {
         let [a, b, c] = corners(mesh, t);

@@ -1,8 +1,9 @@
 //! Part of the hemisphere, and coverage that fades with distance: the kinds of occlusion. PBGI §8.5.
 
-use super::{Hemisphere, RaysEngine, Stand};
+use super::{Hemisphere, Look, RaysEngine, Stand};
 use crate::math::sequence;
 use crate::receivers::Receivers;
+use crate::trace::{Hit, Layer};
 use glam::{Vec2, Vec3};
 use std::f32::consts::PI;
 
@@ -98,13 +99,15 @@ impl RaysEngine<'_> {
         let stand = Stand::of(receivers, i);
         let origin = self.query.lift(receivers.position[i], stand.lift);
         let frame = sequence::transported_frame(cone.axis(receivers, i));
+        let mut layers = Vec::new();
         for &local in pattern {
             let direction = frame.to_world(local);
             if direction.dot(receivers.normal[i]) <= 0.0 {
                 continue;
             }
             let direction = stand.above_horizon(direction);
-            let (coverage, distance) = self.coverage(cone.falloff, (origin, direction));
+            let (coverage, distance) =
+                self.coverage(cone.falloff, (origin, direction), &mut layers);
             seen.direction.push(direction);
             seen.coverage.push(coverage);
             seen.distance.push(distance);
@@ -116,18 +119,37 @@ impl RaysEngine<'_> {
     }
 
     /// How much the direction is covered, and from how far: 0 where that does not matter.
-    fn coverage(&self, falloff: Falloff, (origin, direction): (Vec3, Vec3)) -> (f32, f32) {
+    fn coverage(
+        &self,
+        falloff: Falloff,
+        (origin, direction): (Vec3, Vec3),
+        layers: &mut Vec<Layer>,
+    ) -> (f32, f32) {
         let max = self.max_distance;
         if falloff == Falloff::None {
-            return if self.query.occluded(origin, direction, max) {
-                (1.0, 0.0)
-            } else {
-                (0.0, f32::INFINITY)
+            let look = Look {
+                source: None,
+                ..self.look()
             };
+            let sight = look.along(origin, direction, layers);
+            return (sight.coverage, sight.distance);
         }
-        (self.query.closest(origin, direction, max)).map_or((0.0, f32::INFINITY), |hit| {
-            (falloff.coverage(hit.distance, max), hit.distance)
-        })
+        let of = |hit: &Hit| falloff.coverage(hit.distance, max);
+        let Some(tracer) = self.query.screens() else {
+            let hit = self.query.closest(origin, direction, max);
+            return hit.map_or((0.0, f32::INFINITY), |hit| (of(&hit), hit.distance));
+        };
+        let solid = tracer.solid_closest(origin, direction, max);
+        let end = solid.map_or(max, |hit| hit.distance);
+        let mut open = tracer.layers((origin, direction), end, layers);
+        let mut coverage = solid.map_or(0.0, |hit| open * of(&hit));
+        let first = layers.first().map(|layer| layer.hit).or(solid);
+        open = 1.0;
+        for layer in layers.iter() {
+            coverage += open * layer.opacity * of(&layer.hit);
+            open *= 1.0 - layer.opacity;
+        }
+        (coverage, first.map_or(f32::INFINITY, |hit| hit.distance))
     }
 }
 

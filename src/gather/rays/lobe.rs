@@ -1,6 +1,7 @@
 //! What a glossy surface reflects towards the eye: rays spread as its lobes are. PBGI §6.2.
 
-use super::{Hemisphere, RaysEngine, Stand};
+use super::glossy::Glossy;
+use super::{Hemisphere, Look, RaysEngine, Stand};
 use crate::lighting::Lighting;
 use crate::math::sequence;
 use crate::receivers::Receivers;
@@ -40,33 +41,42 @@ impl RaysEngine<'_> {
             return;
         };
         let frame = sequence::transported_frame(normal);
-        let view = Vec3::new(
-            eye.dot(frame.tangent),
-            eye.dot(frame.bitangent),
-            eye.dot(normal),
-        );
+        let view = frame.to_local(eye);
         if view.z <= 0.0 {
             return;
         }
         let stand = Stand::of(receivers, i);
         let origin = self.query.lift(receivers.position[i], stand.lift);
         let gloss = lobes.shader.gloss(&receivers.surface[i]);
+        let mut layers = Vec::new();
         for lobe in gloss.lobes() {
-            for &point in points {
+            for (&point, number) in points.iter().zip(0..) {
                 let Some((local, share)) = lobe.sample(view, point) else {
                     continue;
                 };
                 let direction = stand.above_horizon(frame.to_world(local));
-                let (distance, radiance) = self.look(origin, direction);
-                let is_open = distance.is_infinite();
-                let light = match lobes.lighting.filter(|_| is_open) {
-                    Some(lighting) => lighting.environment_radiance(direction),
-                    None => radiance.reflected + radiance.emitted,
+                let glossy = self.source.as_ref().map(|source| Glossy {
+                    query: self.query,
+                    source,
+                    lobes: *lobes,
+                    max_distance: self.max_distance,
+                    number,
+                });
+                let look = Look {
+                    query: self.query,
+                    source: glossy.as_ref(),
+                    max_distance: self.max_distance,
                 };
+                let sight = look.along(origin, direction, &mut layers);
+                let open = 1.0 - sight.coverage;
+                let mut light = sight.light.reflected + sight.light.emitted;
+                if let Some(lighting) = lobes.lighting.filter(|_| open > 0.0) {
+                    light += lighting.environment_radiance(direction) * open;
+                }
                 seen.direction.push(direction);
                 seen.weight.push(1.0 / points.len() as f32);
-                seen.coverage.push(if is_open { 0.0 } else { 1.0 });
-                seen.distance.push(distance);
+                seen.coverage.push(sight.coverage);
+                seen.distance.push(sight.distance);
                 seen.reflected.push(share * light);
                 seen.emitted.push(Vec3::ZERO);
             }

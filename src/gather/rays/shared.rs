@@ -5,13 +5,14 @@
 //! others are seen with it.
 
 use super::stand::Stand;
+use super::through::{Look, Sight};
 use crate::gather::Hemisphere;
-use crate::gather::radiance::{Outgoing, RadianceSource};
+use crate::gather::radiance::Outgoing;
 use crate::gather::ray_query::RayQuery;
 use crate::math::bits::bits_of;
 use crate::math::sequence;
 use crate::receivers::Receivers;
-use crate::trace::Hit;
+use crate::trace::{Hit, Tracer};
 use glam::{Mat3, Vec3};
 use std::f32::consts::{PI, TAU};
 use std::ops::Range;
@@ -37,9 +38,7 @@ pub(super) fn directions(count: u32, turn: f32) -> Vec<Vec3> {
 /// What neighbors are asked to look at.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Looks<'a> {
-    pub(super) query: &'a dyn RayQuery,
-    pub(super) source: Option<&'a RadianceSource<'a>>,
-    pub(super) max_distance: f32,
+    pub(super) look: Look<'a>,
     pub(super) directions: &'a [Vec3],
 }
 
@@ -53,6 +52,9 @@ struct Packet {
     /// Bits of receivers that mirror directions at their plane.
     mirroring: u64,
 }
+
+/// What each of a packet hits along one direction.
+type Found = [Option<Hit>; PACKET];
 
 /// What a packet sees along one direction.
 #[derive(Debug, Clone, Copy)]
@@ -72,15 +74,24 @@ impl Looks<'_> {
         scratch: &mut Hemisphere,
         visit: &mut dyn FnMut(usize, &Hemisphere),
     ) {
-        let mut hits = Vec::new();
+        let (mut hits, mut sights) = (Vec::new(), Vec::new());
+        let mut found = [None; PACKET];
         for start in range.clone().step_by(PACKET) {
             let end = (start + PACKET).min(range.end);
-            let packet = Packet::new(self.query, receivers, start..end);
+            let packet = Packet::new(self.look.query, receivers, start..end);
             let count = end - start;
             hits.iter_mut().for_each(Vec::clear);
             hits.resize_with(count, Vec::new);
+            if let Some(tracer) = self.look.query.screens() {
+                self.see_through(tracer, &packet, &mut sights);
+                for (i, sights) in sights.iter().enumerate().take(count) {
+                    self.fill_sights((&packet, i), sights, scratch);
+                    visit(start + i, scratch);
+                }
+                continue;
+            }
             let along: Vec<_> = (self.directions.iter())
-                .map(|&direction| self.along(&packet, direction, &mut hits))
+                .map(|&direction| self.along(&packet, direction, (&mut found, &mut hits)))
                 .collect();
             for (i, hits) in hits.iter().enumerate() {
                 self.fill((&packet, i), &along, hits, scratch);
@@ -90,20 +101,28 @@ impl Looks<'_> {
     }
 
     /// Sends a packet along `direction`; appends distance and radiance to the `hits` of those that are covered, if
-    /// there is a source.
-    fn along(&self, packet: &Packet, direction: Vec3, hits: &mut [Vec<(f32, Outgoing)>]) -> Along {
+    /// there is a source. `found` is room for what they hit.
+    fn along(
+        &self,
+        packet: &Packet,
+        direction: Vec3,
+        (found, hits): (&mut Found, &mut [Vec<(f32, Outgoing)>]),
+    ) -> Along {
         let facing = packet.facing(direction);
         let mirrored = packet.below_plane(direction) & facing;
         let straight = facing & !mirrored;
         let mut covered = 0;
-        if let Some(source) = self.source {
-            let mut found = [None; PACKET];
-            let asked = (self.max_distance, straight);
-            (self.query).closest_along(direction, &packet.origins, asked, &mut found);
+        let Look {
+            query,
+            source,
+            max_distance: max,
+        } = self.look;
+        if let Some(source) = source {
+            query.closest_along(direction, &packet.origins, (max, straight), found);
             for i in bits_of(facing) {
                 let (origin, own) = (packet.origins[i], packet.stands[i].above_horizon(direction));
                 if mirrored >> i & 1 == 1 {
-                    found[i] = self.query.closest(origin, own, self.max_distance);
+                    found[i] = query.closest(origin, own, max);
                 }
                 if let Some(hit) = found[i] {
                     covered |= 1 << i;
@@ -113,11 +132,11 @@ impl Looks<'_> {
                 }
             }
         } else {
-            let (origins, max) = (&packet.origins, self.max_distance);
-            covered = (self.query).occluded_along(direction, origins, max, straight);
+            let origins = &packet.origins;
+            covered = query.occluded_along(direction, origins, max, straight);
             for i in bits_of(mirrored) {
                 let own = packet.stands[i].above_horizon(direction);
-                covered |= u64::from(self.query.occluded(origins[i], own, max)) << i;
+                covered |= u64::from(query.occluded(origins[i], own, max)) << i;
             }
         }
         Along { facing, covered }
@@ -131,12 +150,88 @@ impl Looks<'_> {
         if hit.distance >= lift {
             return Some(hit);
         }
-        let (start, max) = (from + direction * lift, self.max_distance - lift);
-        let beyond = self.query.closest(start, direction, max)?;
+        let (start, max) = (from + direction * lift, self.look.max_distance - lift);
+        let query = self.look.query;
+        let beyond = match query.screens() {
+            Some(tracer) => tracer.solid_closest(start, direction, max),
+            None => query.closest(start, direction, max),
+        }?;
         Some(Hit {
             distance: beyond.distance + lift,
             ..beyond
         })
+    }
+
+    /// Where there are surfaces that let light through: what each receiver sees along each direction that it is turned
+    /// towards, into `sights`.
+    fn see_through(&self, tracer: &Tracer, packet: &Packet, sights: &mut Vec<Vec<Sight>>) {
+        sights.iter_mut().for_each(Vec::clear);
+        if sights.len() < packet.stands.len() {
+            sights.resize_with(packet.stands.len(), Vec::new);
+        }
+        let mut layers = Vec::new();
+        for &direction in self.directions {
+            let facing = packet.facing(direction);
+            let mirrored = packet.below_plane(direction) & facing;
+            let solid = self.behind(tracer, packet, (direction, facing, mirrored));
+            for i in bits_of(facing) {
+                let (origin, own) = (packet.origins[i], packet.stands[i].above_horizon(direction));
+                let ray = (origin, own);
+                sights[i].push(self.look.through(tracer, ray, solid[i], &mut layers));
+            }
+        }
+    }
+
+    /// What the receivers of `facing` see that lets nothing through, those of `mirrored` along directions of their own.
+    fn behind(
+        &self,
+        tracer: &Tracer,
+        packet: &Packet,
+        (direction, facing, mirrored): (Vec3, u64, u64),
+    ) -> [Sight; PACKET] {
+        let mut sights = [Sight::NOTHING; PACKET];
+        let (max, origins, straight) =
+            (self.look.max_distance, &packet.origins, facing & !mirrored);
+        let Some(source) = self.look.source else {
+            let mut covered = tracer.solid_occluded_along(direction, origins, max, straight);
+            for i in bits_of(mirrored) {
+                let own = packet.stands[i].above_horizon(direction);
+                covered |= u64::from(tracer.solid_occluded(origins[i], own, max)) << i;
+            }
+            for i in bits_of(covered) {
+                sights[i] = Sight::covered(0.0, Outgoing::BLACK);
+            }
+            return sights;
+        };
+        let mut found = [None; PACKET];
+        tracer.solid_closest_along(direction, origins, (max, straight), &mut found);
+        for i in bits_of(facing) {
+            let (origin, own) = (origins[i], packet.stands[i].above_horizon(direction));
+            if mirrored >> i & 1 == 1 {
+                found[i] = tracer.solid_closest(origin, own, max);
+            }
+            if let Some(hit) = found[i] {
+                let lit = self.past_plane((packet, i), own, hit);
+                let light = lit.map(|hit| source.radiance(&hit, origin, own));
+                sights[i] = Sight::covered(hit.distance, light.unwrap_or(Outgoing::BLACK));
+            }
+        }
+        sights
+    }
+
+    fn fill_sights(&self, (packet, i): (&Packet, usize), sights: &[Sight], seen: &mut Hemisphere) {
+        seen.clear();
+        let (normal, stand) = (packet.normals[i], packet.stands[i]);
+        let facing = self.directions.iter().filter(|way| normal.dot(**way) > 0.0);
+        for (&direction, sight) in facing.zip(sights) {
+            seen.direction.push(stand.above_horizon(direction));
+            seen.weight.push(normal.dot(direction));
+            seen.coverage.push(sight.coverage);
+            seen.distance.push(sight.distance);
+            seen.reflected.push(sight.light.reflected);
+            seen.emitted.push(sight.light.emitted);
+        }
+        normalize(seen);
     }
 
     fn fill(
@@ -160,7 +255,7 @@ impl Looks<'_> {
             seen.weight.push(normal.dot(direction));
             seen.coverage.push(if covered { 1.0 } else { 0.0 });
         }
-        if self.source.is_some() {
+        if self.look.source.is_some() {
             fill_light(hits, seen);
         } else {
             let distance = |&coverage: &f32| if coverage > 0.0 { 0.0 } else { f32::INFINITY };
@@ -168,9 +263,14 @@ impl Looks<'_> {
             seen.reflected.resize(count, Vec3::ZERO);
             seen.emitted.resize(count, Vec3::ZERO);
         }
-        let scale = PI / seen.weight.iter().sum::<f32>();
-        seen.weight.iter_mut().for_each(|weight| *weight *= scale);
+        normalize(seen);
     }
+}
+
+/// Weights that sum to π.
+fn normalize(seen: &mut Hemisphere) {
+    let scale = PI / seen.weight.iter().sum::<f32>();
+    seen.weight.iter_mut().for_each(|weight| *weight *= scale);
 }
 
 /// Distances and light of what covers directions, in the order of the directions.

@@ -5,7 +5,7 @@ use super::set::EnvironmentCell;
 use crate::lighting::stand::Stand;
 use crate::lighting::{ShadePoint, in_blocks};
 use crate::math::{Frame, luminance, sequence};
-use crate::trace::Tracer;
+use crate::trace::{Layer, Tracer};
 use glam::{Vec2, Vec3};
 
 /// Most receivers of a block: one bit each.
@@ -68,7 +68,7 @@ pub(in crate::lighting) fn glimpse(set: &EnvironmentSet, stand: &Stand<'_>, numb
         let (cell, share) = set.cell_at((i as f32 + shift) / GLIMPSED as f32)?;
         let place = (first + i as f32 * STEP).fract();
         let (direction, irradiance) = cell.part_at(place, stand.point.normal)?;
-        (stand.sees_sky(direction)).then(|| irradiance / share)
+        Some(irradiance * (stand.sees_sky(direction) / share))
     });
     lit.sum::<Vec3>() / GLIMPSED as f32
 }
@@ -77,11 +77,11 @@ pub(in crate::lighting) fn glimpse(set: &EnvironmentSet, stand: &Stand<'_>, numb
 /// over all numbers the truth.
 pub(in crate::lighting) fn glimpse_even(stand: &Stand<'_>, number: u32) -> f32 {
     let frame = Frame::about(stand.point.normal);
-    let is_open = |&i: &u32| {
+    let open = |i: u32| {
         let local = sequence::cosine_hemisphere(sequence::sobol_owen(i, number));
         stand.sees_sky(frame.to_world(local))
     };
-    (0..GLIMPSED_EVEN).filter(is_open).count() as f32 / GLIMPSED_EVEN as f32
+    (0..GLIMPSED_EVEN).map(open).sum::<f32>() / GLIMPSED_EVEN as f32
 }
 
 /// Irradiance of those of `cells` that `stand` sees, and the direction it comes from.
@@ -92,7 +92,8 @@ fn unblocked<'a>(
     cells.filter_map(|cell| {
         let arrival = cell.arrival(stand.point.normal)?;
         let direction = arrival.bent.unwrap_or(cell.direction());
-        (stand.sees_sky(direction)).then_some((arrival.irradiance, direction))
+        let open = stand.sees_sky(direction);
+        (open > 0.0).then_some((arrival.irradiance * open, direction))
     })
 }
 
@@ -118,6 +119,7 @@ struct Packet {
     origins: Vec<Vec3>,
     /// Receiver and irradiance of each origin.
     waiting: Vec<(usize, Vec3)>,
+    layers: Vec<Layer>,
 }
 
 impl Packet {
@@ -129,8 +131,9 @@ impl Packet {
                 continue;
             };
             if let Some(bent) = arrival.bent {
-                if stand.sees_sky(bent) {
-                    sums[i].add(arrival.irradiance, bent);
+                let open = stand.sees_sky(bent);
+                if open > 0.0 {
+                    sums[i].add(arrival.irradiance * open, bent);
                 }
             } else if let Some(start) = stand.start(cell.direction()) {
                 self.origins.push(start);
@@ -144,11 +147,13 @@ impl Packet {
             return;
         }
         let all = u64::MAX >> (MOST - count);
-        let blocked =
-            (first.tracer).occluded_along(cell.direction(), &self.origins, first.reach, all);
+        let (tracer, direction) = (first.tracer, cell.direction());
+        let blocked = tracer.solid_occluded_along(direction, &self.origins, first.reach, all);
         for (k, &(i, irradiance)) in self.waiting.iter().enumerate() {
             if blocked >> k & 1 == 0 {
-                sums[i].add(irradiance, cell.direction());
+                let ray = (self.origins[k], direction);
+                let open = tracer.layers(ray, first.reach, &mut self.layers);
+                sums[i].add(irradiance * open, direction);
             }
         }
     }

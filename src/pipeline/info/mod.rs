@@ -10,7 +10,7 @@ pub use tree::{AnimationSummary, TreeEntry};
 
 use super::Error;
 use super::job::{InfoJob, Purposed};
-use super::world::{Needs, read_settings};
+use super::world::{Needs, compose, read_settings};
 use crate::diagnostics::{Diagnostics, Warning};
 use crate::scene::{Input, Light, LightKind, Material, PrimSource, Scene};
 use crate::stage;
@@ -159,20 +159,20 @@ pub fn info(job: &InfoJob, diagnostics: &Diagnostics) -> Result<StageSummary, Er
     let InfoJob { stage: job, wanted } = job;
     let phase = diagnostics.phase("read", "stage", 0);
     let mut source = stage::open(&job.path, job.door, diagnostics)?;
-    let settings = read_settings(job, job.times()[0], needs);
-    let raw = stage::compose(source.as_mut(), &settings, diagnostics)?;
+    let mut settings = read_settings(job, job.times()[0], needs);
+    let raw = compose(source.as_mut(), &mut settings, diagnostics)?;
     let (scene, triangles) = stage::passes::outline(&raw, &settings, diagnostics)?;
     drop(phase);
     let mut summary = summarize(&scene);
     summary.geometry.triangles = triangles;
     summary.tree = tree::of(&raw);
     summary.animation = tree::animation(&raw);
-    summary.textures = textures::of(&scene);
+    summary.textures = textures::of(&scene, needs);
     textures::warn_of_missing(&summary.textures, diagnostics);
     summary.suspicions = flaws::suspicions(&raw, &scene);
     summary.job = wanted
         .as_ref()
-        .map(|wanted| job_reads(wanted, needs, &raw, &summary.textures));
+        .map(|wanted| job_reads((wanted, settings.materials), needs, &raw, &summary.textures));
     summary.seconds = start.elapsed().as_secs_f64();
     summary.warnings = diagnostics.warnings();
     summary.broken_references = flaws::broken_references(&summary.warnings);
@@ -189,7 +189,7 @@ fn needs(job: &InfoJob) -> Needs {
 }
 
 fn job_reads(
-    wanted: &Purposed,
+    (wanted, has_materials): (&Purposed, bool),
     needs: Needs,
     raw: &RawStage,
     textures: &[TextureSummary],
@@ -203,7 +203,7 @@ fn job_reads(
     JobReads {
         purpose,
         aov: aovs.iter().map(|aov| aov.name()).collect(),
-        materials: needs.materials,
+        materials: has_materials,
         lights: needs.lights,
         layers: raw.meta.layers.clone(),
         textures: decoded().map(|texture| texture.file.clone()).collect(),

@@ -2,20 +2,19 @@
 
 use crate::diagnostics::Diagnostics;
 use crate::image;
+use crate::pipeline::world::Needs;
 use crate::scene::{Input, LightKind, Scene};
+use crate::shading::may_be_screen;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Inputs that surflux evaluates; images of others are told of but not decoded.
-const DECODED: [&str; 5] = [
-    "diffuseColor",
-    "emissiveColor",
-    "metallic",
-    "opacity",
-    "opacityThreshold",
-];
+/// Inputs that tell how much light surfaces let through; those of opaque ones are not decoded.
+const OPACITY: [&str; 2] = ["opacity", "opacityThreshold"];
+
+/// Others that surflux evaluates where there is light; images of yet others are told of but not decoded.
+const DIFFUSE: [&str; 3] = ["diffuseColor", "emissiveColor", "metallic"];
 
 /// One image file or set of tiles.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -38,8 +37,8 @@ pub struct TextureSummary {
     pub problem: Option<String>,
 }
 
-/// All images, in the order of their names.
-pub(super) fn of(scene: &Scene) -> Vec<TextureSummary> {
+/// All images, in the order of their names, and which of them a job with these `needs` decodes.
+pub(super) fn of(scene: &Scene, needs: Needs) -> Vec<TextureSummary> {
     let mut users: BTreeMap<PathBuf, (Vec<String>, bool)> = BTreeMap::new();
     let mut add = |file: &Path, user: &str, decoded: bool| {
         let (paths, is_decoded) = users.entry(file.to_owned()).or_default();
@@ -49,9 +48,13 @@ pub(super) fn of(scene: &Scene) -> Vec<TextureSummary> {
         *is_decoded |= decoded;
     };
     for material in &scene.materials {
+        let is_decoded = |name: &str| {
+            (OPACITY.contains(&name) && may_be_screen(material))
+                || (DIFFUSE.contains(&name) && needs.materials)
+        };
         for (name, input) in material.inputs() {
             if let Input::Texture(read) = input {
-                add(&read.file, &material.path, DECODED.contains(&name));
+                add(&read.file, &material.path, is_decoded(name));
             }
         }
     }

@@ -3,37 +3,64 @@
 //! Wald, *On fast Construction of SAH-based Bounding Volume Hierarchies* (2007). Binning centroids, unlike PLOC, keeps
 //! coplanar axis-aligned boxes compact, and no step uses an absolute tolerance.
 
+use super::extent::{Bound, Extent};
 use super::{EMPTY, Item, LEAF, LEAF_SIZE, Node, WIDTH, Wide, leaf_reference};
-use crate::math::Bounds3;
-use glam::Vec3;
+use glam::Vec4;
 use rayon::prelude::*;
 
+/// Bins along an axis, and of runs of at most [`SHORT`] items: most splits are of those. With 8 of 16 for all, rays took
+/// as long.
 const BINS: usize = 16;
+const FEW_BINS: usize = 8;
+const SHORT: usize = 16;
 /// Below this depth items are halved by count, which bounds the depth (and the stack) for any input.
 pub(super) const MAX_SAH_DEPTH: usize = 16;
 /// Subtrees of at least this many items are built in parallel.
 const PARALLEL_ITEMS: usize = 8192;
 
+#[derive(Default)]
 struct Subtree {
     nodes: Vec<Node>,
     /// Leaves' items, each leaf padded to [`LEAF_SIZE`] by `u32::MAX`.
     order: Vec<u32>,
 }
 
+/// Neighbors in the order of items.
+#[derive(Debug, Clone, Copy)]
+struct Run {
+    start: usize,
+    length: usize,
+    extent: Extent,
+}
+
+/// A place between two bins.
+#[derive(Debug, Clone, Copy)]
+struct Split {
+    axis: usize,
+    /// The last on the left.
+    bin: usize,
+}
+
 impl Wide {
-    /// Build over `items` (reordered on the way). The same tree for any number of threads.
+    /// Build over `items`, of which those with a bound that is not finite are left out. The same tree for any number of
+    /// threads.
     ///
     /// # Panics
     /// With more than 2^29 items.
-    pub(in crate::trace) fn build(mut items: Vec<Item>) -> Self {
+    pub(in crate::trace) fn build(items: impl IntoIterator<Item = Item>) -> Self {
+        let finite = |item: &Item| item.bounds.min.is_finite() && item.bounds.max.is_finite();
+        let items = items.into_iter().filter(finite);
+        let mut bounds: Vec<Bound> = items.map(Bound::of).collect();
         assert!(
-            items.len() < 1 << 29,
+            bounds.len() < 1 << 29,
             "a hierarchy holds at most 2^29 items"
         );
-        if items.is_empty() {
+        if bounds.is_empty() {
             return Self::default();
         }
-        let tree = build_node(&mut items, 0);
+        let extent = Extent::around(&bounds);
+        let mut tree = Subtree::default();
+        tree.grow(&mut bounds, extent, 0);
         Self {
             nodes: tree.nodes,
             order: tree.order,
@@ -41,83 +68,79 @@ impl Wide {
     }
 }
 
-impl Item {
-    fn center(&self) -> Vec3 {
-        self.bounds.center()
-    }
-}
-
-fn build_node(items: &mut [Item], depth: usize) -> Subtree {
-    let ranges = split_into_children(items, depth);
-    let mut node = Node {
-        slabs: [[[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]]; 3],
-        children: [EMPTY; WIDTH],
-    };
-    let mut slices = Vec::with_capacity(WIDTH);
-    let mut rest = items;
-    for (lane, length) in ranges.into_iter().enumerate() {
-        let (slice, tail) = rest.split_at_mut(length);
-        rest = tail;
-        let bounds = bounds_of(slice);
-        for axis in 0..3 {
-            node.slabs[axis][0][lane] = bounds.min[axis];
-            node.slabs[axis][1][lane] = bounds.max[axis];
+impl Subtree {
+    /// Append a node over `items` and all below it.
+    fn grow(&mut self, items: &mut [Bound], extent: Extent, depth: usize) {
+        let (runs, count) = split_into_children(items, extent, depth);
+        let runs = &runs[..count];
+        let at = self.nodes.len();
+        self.nodes.push(node_around(runs));
+        if items.len() < PARALLEL_ITEMS {
+            for (lane, run) in runs.iter().enumerate() {
+                let child = self.reference(run.length);
+                self.nodes[at].children[lane] = child;
+                self.grow_child(&mut items[run.start..][..run.length], run.extent, depth);
+            }
+            return;
         }
-        slices.push(slice);
-    }
-    let total: usize = slices.iter().map(|slice| slice.len()).sum();
-    let build = |slice: &mut &mut [Item]| -> Subtree {
-        if slice.len() <= LEAF_SIZE {
-            leaf(slice)
-        } else {
-            build_node(slice, depth + 1)
+        let mut rest = items;
+        let mut slices = Vec::with_capacity(WIDTH);
+        for run in runs {
+            let (slice, tail) = rest.split_at_mut(run.length);
+            slices.push((slice, run.extent));
+            rest = tail;
         }
-    };
-    let subtrees: Vec<Subtree> = if total >= PARALLEL_ITEMS {
-        slices.par_iter_mut().map(build).collect()
-    } else {
-        slices.iter_mut().map(build).collect()
-    };
-    join(node, subtrees)
-}
-
-fn leaf(items: &[Item]) -> Subtree {
-    let mut order = vec![u32::MAX; LEAF_SIZE];
-    for (slot, item) in order.iter_mut().zip(items) {
-        *slot = item.index;
-    }
-    Subtree {
-        nodes: Vec::new(),
-        order,
-    }
-}
-
-/// Appends the subtrees below `node`, shifting their references.
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "counts are bounded by 2^29 items"
-)]
-fn join(node: Node, subtrees: Vec<Subtree>) -> Subtree {
-    let mut all = Subtree {
-        nodes: vec![node],
-        order: Vec::new(),
-    };
-    for (lane, subtree) in subtrees.into_iter().enumerate() {
-        let first_node = all.nodes.len() as u32;
-        let first_block = (all.order.len() / LEAF_SIZE) as u32;
-        all.nodes[0].children[lane] = if subtree.nodes.is_empty() {
-            let count = (subtree.order.iter())
-                .filter(|&&index| index != u32::MAX)
-                .count();
-            leaf_reference(first_block, count as u32)
-        } else {
-            first_node
+        let build = |(slice, extent): (&mut [Bound], Extent)| {
+            let mut subtree = Self::default();
+            subtree.grow_child(slice, extent, depth);
+            subtree
         };
-        all.order.extend(subtree.order);
-        all.nodes.extend(subtree.nodes.into_iter().map(|mut node| {
+        let subtrees: Vec<Self> = slices.into_par_iter().map(build).collect();
+        for (lane, (subtree, run)) in subtrees.into_iter().zip(runs).enumerate() {
+            let child = self.reference(run.length);
+            self.nodes[at].children[lane] = child;
+            self.append(subtree);
+        }
+    }
+
+    /// Append what stands for a child of a node at `depth`.
+    fn grow_child(&mut self, items: &mut [Bound], extent: Extent, depth: usize) {
+        if items.len() > LEAF_SIZE {
+            self.grow(items, extent, depth + 1);
+            return;
+        }
+        let first = self.order.len();
+        self.order.resize(first + LEAF_SIZE, u32::MAX);
+        for (slot, item) in self.order[first..].iter_mut().zip(items) {
+            *slot = item.index();
+        }
+    }
+
+    /// What a node calls a child of so many items that is appended next.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "counts are bounded by 2^29 items"
+    )]
+    fn reference(&self, length: usize) -> u32 {
+        if length > LEAF_SIZE {
+            self.nodes.len() as u32
+        } else {
+            leaf_reference((self.order.len() / LEAF_SIZE) as u32, length as u32)
+        }
+    }
+
+    /// Append a subtree, shifting its references.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "counts are bounded by 2^29 items"
+    )]
+    fn append(&mut self, subtree: Self) {
+        let (first_node, first_item) = (self.nodes.len() as u32, self.order.len() as u32);
+        self.order.extend(subtree.order);
+        self.nodes.extend(subtree.nodes.into_iter().map(|mut node| {
             for child in &mut node.children {
                 if *child & LEAF != 0 {
-                    *child += first_block * LEAF_SIZE as u32;
+                    *child += first_item;
                 } else if *child != EMPTY {
                     *child += first_node;
                 }
@@ -125,139 +148,185 @@ fn join(node: Node, subtrees: Vec<Subtree>) -> Subtree {
             node
         }));
     }
-    all
+}
+
+/// A node whose children are these runs, but for what it calls them.
+fn node_around(runs: &[Run]) -> Node {
+    let mut node = Node {
+        slabs: [[[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]]; 3],
+        children: [EMPTY; WIDTH],
+    };
+    for (lane, run) in runs.iter().enumerate() {
+        for axis in 0..3 {
+            node.slabs[axis][0][lane] = run.extent.low[axis];
+            node.slabs[axis][1][lane] = run.extent.high[axis];
+        }
+    }
+    node
 }
 
 /// Reorders `items` into up to [`WIDTH`] runs, splitting the one of largest area again and again (far down: the longest,
-/// so that depth stays bounded); their lengths.
-fn split_into_children(items: &mut [Item], depth: usize) -> Vec<usize> {
-    let mut runs = vec![(0, items.len(), half_area(&bounds_of(items)))];
-    while runs.len() < WIDTH {
-        let widest = (0..runs.len())
-            .filter(|&i| runs[i].1 > LEAF_SIZE)
+/// so that depth stays bounded).
+fn split_into_children(items: &mut [Bound], extent: Extent, depth: usize) -> ([Run; WIDTH], usize) {
+    let whole = Run {
+        start: 0,
+        length: items.len(),
+        extent,
+    };
+    let mut runs = [whole; WIDTH];
+    let mut areas = [extent.half_area(); WIDTH];
+    let mut count = 1;
+    while count < WIDTH {
+        let widest = (0..count)
+            .filter(|&i| runs[i].length > LEAF_SIZE)
             .max_by(|&a, &b| {
                 if depth < MAX_SAH_DEPTH {
-                    runs[a].2.total_cmp(&runs[b].2)
+                    areas[a].total_cmp(&areas[b])
                 } else {
-                    runs[a].1.cmp(&runs[b].1)
+                    runs[a].length.cmp(&runs[b].length)
                 }
             });
         let Some(widest) = widest else { break };
-        let (start, length, _) = runs[widest];
-        let slice = &mut items[start..start + length];
-        let left = split(slice, depth);
-        let (a, b) = slice.split_at(left);
-        let areas = (half_area(&bounds_of(a)), half_area(&bounds_of(b)));
-        runs[widest] = (start, left, areas.0);
-        runs.insert(widest + 1, (start + left, length - left, areas.1));
+        let Run {
+            start,
+            length,
+            extent,
+        } = runs[widest];
+        let (left, sides) = split(&mut items[start..][..length], extent, depth);
+        let halves = [(start, left), (start + left, length - left)];
+        runs.copy_within(widest + 1..count, widest + 2);
+        areas.copy_within(widest + 1..count, widest + 2);
+        for (side, ((start, length), extent)) in halves.into_iter().zip(sides).enumerate() {
+            runs[widest + side] = Run {
+                start,
+                length,
+                extent,
+            };
+            areas[widest + side] = extent.half_area();
+        }
+        count += 1;
     }
-    runs.into_iter().map(|(_, length, _)| length).collect()
+    (runs, count)
 }
 
-/// Reorders `items` (at least two) into two runs; length of the first, never 0 or all.
-fn split(items: &mut [Item], depth: usize) -> usize {
-    let centers = Bounds3::around(items.iter().map(Item::center));
-    if depth < MAX_SAH_DEPTH
-        && let Some((axis, bin)) = best_split(items, &centers)
-    {
-        let left = partition(items, |item| bin_of(item.center(), &centers, axis) <= bin);
-        if left > 0 && left < items.len() {
-            return left;
+/// Reorders `items` (at least two) into two runs; length of the first, never 0 or all, and what each spans.
+fn split(items: &mut [Bound], extent: Extent, depth: usize) -> (usize, [Extent; 2]) {
+    if depth < MAX_SAH_DEPTH {
+        let found = if items.len() <= SHORT {
+            divide::<FEW_BINS>(items, &extent)
+        } else {
+            divide::<BINS>(items, &extent)
+        };
+        if let Some(found) = found {
+            return found;
         }
     }
-    let axis = longest_axis(&centers);
+    let axis = extent.longest_axis();
     let middle = items.len() / 2;
     items.select_nth_unstable_by(middle, |a, b| {
-        (a.center()[axis].total_cmp(&b.center()[axis])).then(a.index.cmp(&b.index))
+        (a.center()[axis].total_cmp(&b.center()[axis])).then(a.index().cmp(&b.index()))
     });
-    middle
+    let (left, right) = items.split_at(middle);
+    (middle, [Extent::around(left), Extent::around(right)])
 }
 
-/// Axis and last bin of the left side of the cheapest split, if any separates the centers.
-fn best_split(items: &[Item], centers: &Bounds3) -> Option<(usize, usize)> {
-    let mut bins = [[(Bounds3::EMPTY, 0_usize); BINS]; 3];
-    for item in items {
-        let center = item.center();
-        for (axis, bins) in bins.iter_mut().enumerate() {
-            let bin = &mut bins[bin_of(center, centers, axis)];
-            *bin = (bin.0.union(item.bounds), bin.1 + 1);
-        }
-    }
-    let mut best = None;
-    let mut lowest = f32::INFINITY;
-    for (axis, bins) in bins.iter().enumerate() {
-        let mut right = [(Bounds3::EMPTY, 0); BINS];
-        let mut sum = (Bounds3::EMPTY, 0);
-        for bin in (1..BINS).rev() {
-            sum = (sum.0.union(bins[bin].0), sum.1 + bins[bin].1);
-            right[bin - 1] = sum;
-        }
-        let mut left = (Bounds3::EMPTY, 0);
-        for bin in 0..BINS - 1 {
-            left = (left.0.union(bins[bin].0), left.1 + bins[bin].1);
-            if left.1 > 0 && right[bin].1 > 0 {
-                let cost = cost_of(left) + cost_of(right[bin]);
-                if cost < lowest {
-                    lowest = cost;
-                    best = Some((axis, bin));
-                }
-            }
-        }
-    }
-    best
-}
-
-/// Leaves hold blocks of [`LEAF_SIZE`], so a started block costs as much as a full one.
-#[expect(clippy::cast_precision_loss, reason = "a cost estimate")]
-fn cost_of((bounds, count): (Bounds3, usize)) -> f32 {
-    half_area(&bounds) * count.div_ceil(LEAF_SIZE) as f32
-}
-
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    clippy::cast_precision_loss,
-    reason = "clamped to the bins"
-)]
-fn bin_of(center: Vec3, centers: &Bounds3, axis: usize) -> usize {
-    let extent = centers.max[axis] - centers.min[axis];
-    if extent > 0.0 {
-        let place = (center[axis] - centers.min[axis]) / extent * BINS as f32;
-        (place.max(0.0) as usize).min(BINS - 1)
-    } else {
-        0
-    }
-}
-
-/// Stable two-sided partition in place would need memory; order within a side is fixed by the input all the same.
-fn partition(items: &mut [Item], is_left: impl Fn(&Item) -> bool) -> usize {
+/// The same at the cheapest place between bins; `None` if no place separates the centers.
+fn divide<const BINS: usize>(items: &mut [Bound], extent: &Extent) -> Option<(usize, [Extent; 2])> {
+    let grid = Grid::<BINS>::over(extent);
+    let Split { axis, bin } = grid.best_split(items)?;
+    let mut sides = [Extent::EMPTY; 2];
     let mut left = 0;
+    // A stable partition in place would need memory; the order within a side is fixed by that of the items all the same.
     for i in 0..items.len() {
-        if is_left(&items[i]) {
+        let item = items[i];
+        let is_left = grid.bins_of(item)[axis] <= bin;
+        sides[usize::from(!is_left)].include(item);
+        if is_left {
             items.swap(left, i);
             left += 1;
         }
     }
-    left
+    (left > 0 && left < items.len()).then_some((left, sides))
 }
 
-fn longest_axis(bounds: &Bounds3) -> usize {
-    let size = bounds.max - bounds.min;
-    (0..3)
-        .max_by(|&a, &b| size[a].total_cmp(&size[b]))
-        .expect("there are three axes")
+/// Bins over the centers of items, along each axis.
+#[derive(Debug, Clone, Copy)]
+struct Grid<const BINS: usize> {
+    low: Vec4,
+    /// Bins a length; 0 along axes on which all centers are one.
+    scale: Vec4,
 }
 
-fn bounds_of(items: &[Item]) -> Bounds3 {
-    items
-        .iter()
-        .fold(Bounds3::EMPTY, |all, item| all.union(item.bounds))
-}
-
-fn half_area(bounds: &Bounds3) -> f32 {
-    if bounds.is_empty() {
-        return 0.0;
+impl<const BINS: usize> Grid<BINS> {
+    #[expect(clippy::cast_precision_loss, reason = "a few bins")]
+    fn over(extent: &Extent) -> Self {
+        let size = extent.high_center - extent.low_center;
+        let scale = size.map(|size| match BINS as f32 / size {
+            scale if scale.is_finite() => scale,
+            _ => 0.0,
+        });
+        Self {
+            low: extent.low_center,
+            scale,
+        }
     }
-    let size = bounds.max - bounds.min;
-    size.x * size.y + size.y * size.z + size.z * size.x
+
+    /// The bin of an item along each axis.
+    fn bins_of(&self, item: Bound) -> [usize; 3] {
+        let place = (item.center() - self.low) * self.scale;
+        let [x, y, z, _] = place.as_uvec4().to_array();
+        [x, y, z].map(|bin| (bin as usize).min(BINS - 1))
+    }
+
+    /// The cheapest place, if any separates the centers.
+    fn best_split(&self, items: &[Bound]) -> Option<Split> {
+        let mut bins = [[(Extent::NO_BOX, 0_u32); BINS]; 3];
+        for &item in items {
+            for (bins, bin) in bins.iter_mut().zip(self.bins_of(item)) {
+                let (sum, count) = &mut bins[bin];
+                *sum = joined(*sum, (item.low, item.high));
+                *count += 1;
+            }
+        }
+        let mut best = None;
+        let mut lowest = f32::INFINITY;
+        for (axis, bins) in bins.iter().enumerate() {
+            if self.scale[axis] == 0.0 {
+                continue;
+            }
+            let mut right = [f32::INFINITY; BINS];
+            let mut sum = (Extent::NO_BOX, 0);
+            for bin in (1..BINS).rev() {
+                sum = (joined(sum.0, bins[bin].0), sum.1 + bins[bin].1);
+                right[bin - 1] = cost_of(sum);
+            }
+            let mut left = (Extent::NO_BOX, 0);
+            for bin in 0..BINS - 1 {
+                left = (joined(left.0, bins[bin].0), left.1 + bins[bin].1);
+                let cost = cost_of(left) + right[bin];
+                if cost < lowest {
+                    lowest = cost;
+                    best = Some(Split { axis, bin });
+                }
+            }
+        }
+        best
+    }
+}
+
+fn joined(a: (Vec4, Vec4), b: (Vec4, Vec4)) -> (Vec4, Vec4) {
+    (a.0.min(b.0), a.1.max(b.1))
+}
+
+/// Leaves hold blocks of [`LEAF_SIZE`], so a started block costs as much as a full one; no items are no side.
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    reason = "a cost estimate; a leaf is small"
+)]
+fn cost_of(((low, high), count): ((Vec4, Vec4), u32)) -> f32 {
+    if count == 0 {
+        return f32::INFINITY;
+    }
+    super::extent::half_area(high - low) * count.div_ceil(LEAF_SIZE as u32) as f32
 }

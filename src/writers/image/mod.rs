@@ -5,7 +5,7 @@ mod exr_header;
 pub mod png;
 
 pub use exr::{ExrInfo, ExrLayout, write_exr};
-pub use png::{png_of_rgb, write_png};
+pub use png::{png_of_rgb, png_to_look_at, thumbnail, write_png};
 
 use std::path::{Path, PathBuf};
 

@@ -10,7 +10,7 @@ use super::{Error, write_whole};
 use crate::math::srgb;
 use crate::results::resolve::FAR_DEPTH;
 use crate::results::{Aov, AovImage, ValueType};
-use ::image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use ::image::{ExtendedColorType, ImageEncoder, RgbImage, codecs::png::PngEncoder};
 use std::path::Path;
 
 /// Share of pixel values that are not clipped: a lamp in view may take the rest.
@@ -54,12 +54,53 @@ pub fn png_of_rgb(width: u32, height: u32, rgb: &[u8]) -> Vec<u8> {
     }
 }
 
+/// `image` as a PNG in memory, as [`write_png`] shows it, at most `most` pixels wide; colors exposed as those of `like`.
+/// Empty if it has no pixels.
+pub fn png_to_look_at(image: &AovImage, like: Option<&AovImage>, most: u32) -> Vec<u8> {
+    let shown = pixels_like(image, like.unwrap_or(image));
+    let rgb = match image.aov.value_type() {
+        ValueType::Float | ValueType::Harmonics => {
+            shown.iter().flat_map(|&gray| [gray; 3]).collect()
+        }
+        _ => shown,
+    };
+    match RgbImage::from_raw(image.width, image.height, rgb) {
+        Some(rgb) => png_at_most(&rgb, most),
+        None => Vec::new(),
+    }
+}
+
+/// The picture in `png`, at most `most` pixels wide, as a PNG in memory; empty if it is none.
+pub fn thumbnail(png: &[u8], most: u32) -> Vec<u8> {
+    match ::image::load_from_memory(png) {
+        Ok(image) => png_at_most(&image.to_rgb8(), most),
+        Err(_) => Vec::new(),
+    }
+}
+
+fn png_at_most(image: &RgbImage, most: u32) -> Vec<u8> {
+    let (width, height) = image.dimensions();
+    if width <= most || width == 0 {
+        return png_of_rgb(width, height, image.as_raw());
+    }
+    let scaled = u64::from(height) * u64::from(most) / u64::from(width);
+    let height = u32::try_from(scaled).unwrap_or(height).max(1);
+    let small = ::image::imageops::thumbnail(image, most, height);
+    png_of_rgb(most, height, small.as_raw())
+}
+
 /// 8 bits a channel.
 fn pixels(image: &AovImage) -> Vec<u8> {
+    pixels_like(image, image)
+}
+
+fn pixels_like(image: &AovImage, like: &AovImage) -> Vec<u8> {
     match (image.aov, image.aov.value_type()) {
         (Aov::Depth, _) => depth(&image.data),
         (_, ValueType::Float) => image.data.iter().map(|value| srgb::code(*value)).collect(),
-        (_, ValueType::Color | ValueType::ColorAlpha) => colors(image),
+        (_, ValueType::Color | ValueType::ColorAlpha) => {
+            colors(image, exposure(&like.data, like.aov.components()))
+        }
         (_, ValueType::Normal) => image
             .data
             .iter()
@@ -76,9 +117,8 @@ fn pixels(image: &AovImage) -> Vec<u8> {
 }
 
 /// Exposed and encoded, over black: color is premultiplied, and a sky shines where nothing covers.
-fn colors(image: &AovImage) -> Vec<u8> {
+fn colors(image: &AovImage, exposure: f32) -> Vec<u8> {
     let components = image.aov.components();
-    let exposure = exposure(&image.data, components);
     let encode = |pixel: &[f32]| [0, 1, 2].map(|channel| srgb::code(pixel[channel] * exposure));
     image
         .data
@@ -180,6 +220,33 @@ mod tests {
         let pixels = pixels(&image(Aov::Color, &data));
         assert_eq!(pixels[..3], [255, 188, 0]);
         assert_eq!(pixels[600..609], [188, 137, 0, 0, 0, 0, 255, 255, 255]);
+    }
+
+    #[test]
+    fn a_picture_to_look_at_is_small_and_exposed_as_another() {
+        let (bright, dark) = ([0.5; 3].repeat(64), [0.25; 3].repeat(64));
+        let (bright, dark) = (
+            image(Aov::Irradiance, &bright),
+            image(Aov::Irradiance, &dark),
+        );
+        let read = |png: &[u8]| ::image::load_from_memory(png).unwrap().to_rgb8();
+        let alone = read(&png_to_look_at(&dark, None, 16));
+        assert_eq!(
+            (alone.dimensions(), alone.get_pixel(3, 0).0),
+            ((16, 1), [255; 3])
+        );
+        // half of white, encoded
+        let beside = read(&png_to_look_at(&dark, Some(&bright), 64));
+        assert_eq!(
+            (beside.dimensions(), beside.get_pixel(3, 0).0),
+            ((64, 1), [188; 3])
+        );
+        let small = read(&thumbnail(&png_to_look_at(&dark, Some(&bright), 64), 8));
+        assert_eq!(
+            (small.dimensions(), small.get_pixel(3, 0).0),
+            ((8, 1), [188; 3])
+        );
+        assert!(thumbnail(b"no picture", 8).is_empty());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! What is bound to skeletons → in the pose of the time, as `UsdSkel` has it, in the skeleton's space and then taken to the
 //! prim's own:
 //!
-//! - points by linear blending, p′ = Σ wᵢ · jointᵢ · bindᵢ⁻¹ · geomBind · (p + Σ blend shape offsets), or by [`dual`]
+//! - points by linear blending, p′ = Σ wᵢ · jointᵢ · bindᵢ⁻¹ · geomBind · (p + Σ blend shape offsets), or by `dual`
 //!   quaternions; normals follow by the inverse transposes;
 //! - gprims without points, which one set of weights moves as a whole, by a new matrix in place of their own.
 //!

@@ -1,0 +1,144 @@
+//! `surflux bake --positions`: results at points of a file, against closed forms.
+
+#[allow(dead_code, reason = "every test file uses some of the helpers")]
+#[path = "support/program.rs"]
+mod program;
+
+use program::{run, stage, stderr};
+use std::f32::consts::PI;
+use std::fs;
+use std::path::Path;
+
+/// A ball of radius 1, moved far off, under a sky of radiance 1 and a sun from +Z.
+const STAGE: &str = r#"#usda 1.0
+( metersPerUnit = 1
+  upAxis = "Y" )
+def Xform "World"
+{
+    def Sphere "ball"
+    {
+        double radius = 1
+        double3 xformOp:translate = (5000, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def DomeLight "sky" { float inputs:intensity = 1 }
+    def DistantLight "sun"
+    {
+        float inputs:intensity = 2
+        float inputs:angle = 0
+        bool inputs:normalize = 1
+    }
+}
+"#;
+
+/// At distance 3 facing the ball, facing away, and in its shadow; the last faces nowhere.
+const POINTS: &str = r#"#usda 1.0
+( metersPerUnit = 1
+  upAxis = "Y" )
+def Xform "set"
+{
+    double3 xformOp:translate = (5000, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Points "p"
+    {
+        point3f[] points = [(3, 0, 0), (3, 0, 0), (0, 0, -3), (0, 4, 0)]
+        normal3f[] normals = [(-1, 0, 0), (1, 0, 0), (0, 0, 1), (0, 0, 0)] (interpolation = "vertex")
+        float[] widths = [0.5] (interpolation = "constant")
+        int[] primvars:number = [7, 8, 9, 10] (interpolation = "vertex")
+    }
+}
+"#;
+
+fn baked(points: &str, aovs: &str) -> (std::process::Output, String) {
+    let (folder, path) = stage(STAGE);
+    let (cloud, out) = (
+        folder.path().join("points.usda"),
+        folder.path().join("out.usda"),
+    );
+    fs::write(&cloud, points).expect("written");
+    let text = |path: &Path| path.to_str().expect("UTF-8").to_owned();
+    let args = [
+        "bake",
+        &text(&path),
+        "-o",
+        &text(&out),
+        "--positions",
+        &text(&cloud),
+        "--aov",
+        aovs,
+        "--usd",
+        "native",
+    ];
+    let done = run(&args);
+    assert_eq!(done.status.success(), out.exists());
+    (done, fs::read_to_string(out).unwrap_or_default())
+}
+
+fn numbers(layer: &str, name: &str) -> Vec<f32> {
+    let name = format!("{name} = [");
+    let values = &layer[layer.find(&name).expect("the primvar") + name.len()..];
+    let values = &values[..values.find(']').expect("an end")];
+    (values.split([',', '(', ')']))
+        .filter_map(|word| word.trim().parse().ok())
+        .collect()
+}
+
+#[test]
+fn points_off_all_surfaces_see_what_closed_forms_say_and_keep_what_they_had() {
+    let aovs = "occlusion,irradiance_environment,irradiance_direct,bent_normal,visibility_sh";
+    let (done, layer) = baked(POINTS, aovs);
+    assert!(done.status.success(), "{}", stderr(&done));
+    assert!(
+        stderr(&done).contains("1 of its 4 points have no normal"),
+        "{}",
+        stderr(&done)
+    );
+    let near = |found: f32, exact: f32, tolerance: f32| {
+        assert!((found - exact).abs() <= tolerance, "{found} {exact}");
+    };
+    for (found, exact) in
+        numbers(&layer, "primvars:occlusion")
+            .into_iter()
+            .zip([1.0 / 9.0, 0.0, 1.0 / 9.0, 0.0])
+    {
+        near(found, exact, 3e-3);
+    }
+    let sky = numbers(&layer, "primvars:irradiance_environment");
+    for (found, exact) in sky
+        .chunks_exact(3)
+        .zip([PI * 8.0 / 9.0, PI, PI * 8.0 / 9.0, 0.0])
+    {
+        near(found[0], exact, 0.01);
+    }
+    // The sun is behind the ball for the third, whose normal faces it, and beside the others.
+    assert!(
+        numbers(&layer, "primvars:irradiance_direct")
+            .iter()
+            .all(|value| *value == 0.0)
+    );
+    let bent = numbers(&layer, "primvars:bent_normal");
+    near(bent[3], 1.0, 2e-3);
+    assert_eq!(numbers(&layer, "primvars:visibility_sh0").len(), 4);
+    assert_eq!(numbers(&layer, "primvars:number"), [7.0, 8.0, 9.0, 10.0]);
+    assert_eq!(numbers(&layer, "point3f[] points").len(), 12);
+    let open = POINTS.replace("(0, 0, -3)", "(2, 0, -3)");
+    let (_, layer) = baked(&open, "irradiance_direct");
+    near(numbers(&layer, "primvars:irradiance_direct")[6], 2.0, 1e-3);
+}
+
+#[test]
+fn what_points_cannot_have_is_told_before_anything_is_computed() {
+    let (done, _) = baked(POINTS, "diffuse_direct");
+    assert_eq!(done.status.code(), Some(2));
+    assert!(
+        stderr(&done).contains("diffuse_direct"),
+        "{}",
+        stderr(&done)
+    );
+    let bare = POINTS.replace("normal3f[] normals", "normal3f[] primvars:other");
+    let (done, _) = baked(&bare, "occlusion");
+    assert_eq!(done.status.code(), Some(1));
+    assert!(stderr(&done).contains("normal"), "{}", stderr(&done));
+    let (done, _) = baked("#usda 1.0\n", "occlusion");
+    assert_eq!(done.status.code(), Some(1), "{}", stderr(&done));
+}
