@@ -4,6 +4,7 @@
 //! Layout: `pxr/usd/usd/crateFile.cpp` of OpenUSD. This file checks the sections, [`super::crate_values`] the values.
 
 use super::crate_values;
+use super::text::is_identifier;
 
 /// Oldest and newest minor version (of major version 0) that can be read.
 const VERSIONS: std::ops::RangeInclusive<u8> = 4..=12;
@@ -30,15 +31,20 @@ pub(super) fn check(bytes: &[u8]) -> Result<Soundness, String> {
             .find(|section| section.0 == name)
             .map(|section| section.1)
     };
-    let (tokens, has_classes) = match section("TOKENS") {
+    let words = match section("TOKENS") {
         Some(at) => tokens(Reader::new(bytes, at))?,
-        None => (0, false),
+        None => Vec::new(),
     };
+    let tokens: Vec<&[u8]> = words.split(|&byte| byte == 0).collect();
+    // each ends with a 0: what follows the last is none
+    let tokens = &tokens[..tokens.len() - 1];
+    let has_classes =
+        tokens.contains(&&b"inheritPaths"[..]) || tokens.contains(&&b"specializes"[..]);
     if let Some(at) = section("STRINGS") {
         let mut reader = Reader::new(bytes, at);
         let count = reader.count(4)?;
         for _ in 0..count {
-            below(u64::from(reader.u32()?), tokens, "string")?;
+            below(u64::from(reader.u32()?), tokens.len() as u64, "string")?;
         }
     }
     if let Some(at) = section("PATHS") {
@@ -99,16 +105,14 @@ fn sections(bytes: &[u8]) -> Result<Vec<(String, usize)>, String> {
     Ok(sections)
 }
 
-/// Number of tokens, and whether one of them names a class arc.
-fn tokens(mut reader: Reader<'_>) -> Result<(u64, bool), String> {
+/// All tokens, each with a 0 behind it.
+fn tokens(mut reader: Reader<'_>) -> Result<Vec<u8>, String> {
     let count = reader.u64()?;
     let size = reader.u64()?;
     let text = reader.decompressed(size)?;
     let held = text.iter().filter(|&&byte| byte == 0).count() as u64;
-    let mut words = text.split(|&byte| byte == 0);
-    let has_classes = words.any(|word| word == b"inheritPaths" || word == b"specializes");
     match held == count && text.len() as u64 == size {
-        true => Ok((count, has_classes)),
+        true => Ok(text),
         false => Err(format!("{count} tokens announced, {held} found")),
     }
 }
@@ -128,7 +132,7 @@ fn reps(mut reader: Reader<'_>) -> Result<Vec<u64>, String> {
 }
 
 /// Follow the tree of paths as the crate will: every entry must be reached at most once.
-fn paths(mut reader: Reader<'_>, tokens: u64) -> Result<(), String> {
+fn paths(mut reader: Reader<'_>, tokens: &[&[u8]]) -> Result<(), String> {
     let path_count = reader.u64()?;
     let count = reader.u64()?;
     let indices = reader.ints(count)?;
@@ -157,7 +161,7 @@ fn paths(mut reader: Reader<'_>, tokens: u64) -> Result<(), String> {
                 "path",
             )?;
             if index > 0 {
-                below(u64::from(elements[index].unsigned_abs()), tokens, "token")?;
+                element(elements[index], tokens)?;
             }
             let jump = jumps[index];
             let has_child = jump > 0 || jump == -1;
@@ -172,6 +176,26 @@ fn paths(mut reader: Reader<'_>, tokens: u64) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+/// A step of a path: a property (below 0), a prim, a variant in braces, or a target in brackets.
+fn element(index: i32, tokens: &[&[u8]]) -> Result<(), String> {
+    let at = index.unsigned_abs();
+    below(u64::from(at), tokens.len() as u64, "token")?;
+    let name = String::from_utf8_lossy(tokens[at as usize]);
+    let is_other = name.starts_with(['[', '.']) || is_variant(&name);
+    let is_sound = index < 0 || is_other || is_identifier(&name);
+    match is_sound {
+        true => Ok(()),
+        false => Err(format!(
+            "{name:?} is no name of a prim (letters, digits and _, no digit first)"
+        )),
+    }
+}
+
+/// `{set=choice}`.
+fn is_variant(name: &str) -> bool {
+    name.starts_with('{') && name.ends_with('}') && name.contains('=')
 }
 
 fn below(index: u64, count: u64, what: &str) -> Result<(), String> {

@@ -3,7 +3,7 @@
 //! Repaired: numbers like `.5` and `5.`, quoted asset paths, `True` and `False`, `//` and `/* */` comments, whole
 //! numbers among the samples of a real attribute (the crate would not interpolate them), asset paths among samples,
 //! escapes in strings.
-//! Refused: several statements for one relationship in one prim (the crate would keep the last), and nesting so deep
+//! Refused: names of prims that are no identifiers, several statements for one relationship in one prim (the crate would keep the last), and nesting so deep
 //! that the crate's recursion would end the process.
 
 use std::collections::BTreeSet;
@@ -65,6 +65,8 @@ struct Scanner<'a> {
     samples: bool,
     asset_expected: bool,
     relationship: Option<Option<String>>,
+    /// A specifier was read: the next string names a prim.
+    names_prim: bool,
 }
 
 impl<'a> Scanner<'a> {
@@ -80,6 +82,7 @@ impl<'a> Scanner<'a> {
             samples: false,
             asset_expected: false,
             relationship: None,
+            names_prim: false,
         }
     }
 
@@ -94,7 +97,7 @@ impl<'a> Scanner<'a> {
                 byte if byte.is_ascii_whitespace() => self.at += 1,
                 b'#' => self.skip_line(),
                 b'/' if matches!(self.peek(1), b'/' | b'*') => self.comment(),
-                b'"' | b'\'' => self.string(),
+                b'"' | b'\'' => self.string()?,
                 b'@' => self.asset(),
                 b'<' => self.skip_to(b'>'),
                 byte if byte.is_ascii_digit() => self.number(),
@@ -144,7 +147,7 @@ impl<'a> Scanner<'a> {
         self.edits.push((start..self.at, " ".to_owned()));
     }
 
-    fn string(&mut self) {
+    fn string(&mut self) -> Result<(), String> {
         let start = self.at;
         let quote = self.peek(0);
         let triple = self.peek(1) == quote && self.peek(2) == quote;
@@ -162,6 +165,12 @@ impl<'a> Scanner<'a> {
         self.at = (self.at + width).min(self.bytes.len());
         let listed = self.frames.last().is_some_and(|frame| frame.assets);
         let content = self.text.get(inside).unwrap_or_default();
+        if std::mem::take(&mut self.names_prim) && !is_identifier(content) {
+            let line = self.line();
+            return Err(format!(
+                "line {line}: {content:?} is no name of a prim (letters, digits and _, no digit first)"
+            ));
+        }
         if self.asset_expected || listed {
             let marks = if content.contains('@') { "@@@" } else { "@" };
             self.edits
@@ -171,6 +180,7 @@ impl<'a> Scanner<'a> {
         }
         self.asset_expected = false;
         self.last = 0;
+        Ok(())
     }
 
     fn asset(&mut self) {
@@ -256,6 +266,7 @@ impl<'a> Scanner<'a> {
             "half" | "float" | "double" | "timecode" => self.declared = Declared::Real,
             "asset" => self.declared = Declared::Asset,
             "rel" => self.relationship = Some(None),
+            "def" | "over" | "class" => self.names_prim = true,
             _ => {
                 if let Some(relationship @ None) = &mut self.relationship {
                     *relationship = Some(name.to_owned());
@@ -267,6 +278,7 @@ impl<'a> Scanner<'a> {
     }
 
     fn punctuation(&mut self, byte: u8) -> Result<(), String> {
+        self.names_prim = false;
         match byte {
             b'=' => self.assignment()?,
             b'{' | b'[' | b'(' => self.open(byte)?,
@@ -297,16 +309,19 @@ impl<'a> Scanner<'a> {
         match frame.relationships.insert(name.clone()) {
             true => Ok(()),
             false => {
-                let line = 1 + self.bytes[..self.at]
-                    .iter()
-                    .filter(|&&byte| byte == b'\n')
-                    .count();
+                let line = self.line();
                 Err(format!(
                     "line {line}: several statements edit the targets of relationship {name} in one prim, \
                      which is not supported in text layers"
                 ))
             }
         }
+    }
+
+    /// Number of the line at hand.
+    fn line(&self) -> usize {
+        let before = self.bytes[..self.at].iter();
+        1 + before.filter(|&&byte| byte == b'\n').count()
     }
 
     fn open(&mut self, byte: u8) -> Result<(), String> {
@@ -351,6 +366,12 @@ fn unescaped(content: &str) -> Option<String> {
     };
     let quote = ["\"", "'", "\"\"\"", "'''"].into_iter().find(fits)?;
     Some(format!("{quote}{plain}{quote}"))
+}
+
+/// True for what a prim may be called. The crate does not survive the prim path `/}`.
+pub(super) fn is_identifier(name: &str) -> bool {
+    let is_letter = |letter: char| letter == '_' || letter.is_alphabetic();
+    name.starts_with(is_letter) && name.chars().all(|c| is_letter(c) || c.is_alphanumeric())
 }
 
 fn is_name(byte: u8) -> bool {
@@ -441,6 +462,21 @@ mod tests {
         let apart =
             "def \"P\" {\n rel r = </A>\n def \"Q\" {\n rel r = </B>\n }\n rel s\n rel s = </C>\n}";
         assert_eq!(repaired(apart).unwrap(), None);
+    }
+
+    #[test]
+    fn prims_must_have_names_that_usd_allows() {
+        for name in ["}", "", "a-b", "1", "a b", "a{v=x}", ".."] {
+            let text = format!("#usda 1.0\ndef Xform \"{name}\" {{\n}}");
+            assert!(repaired(&text).unwrap_err().starts_with("line 2"), "{name}");
+        }
+        for text in [
+            "def \"_a1\" {}",
+            "def X \"größe\" (doc = \"}\") { string def = \"a-b\" }",
+            "over 'a' { variantSet \"v\" = { \"1-x\" { def \"b\" {} } } }",
+        ] {
+            assert_eq!(repaired(text), Ok(None), "{text}");
+        }
     }
 
     #[test]
