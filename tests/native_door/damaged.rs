@@ -68,6 +68,28 @@ fn old_binary_layers_are_refused_with_the_way_out() {
     );
 }
 
+/// Found by the fuzz run of seed 501, case 18425: the crate's stack overflows at the path `/}`.
+#[test]
+fn prims_with_names_that_usd_does_not_allow_are_refused() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let text = "#usda 1.0\ndef Xform \"Zqx\" {\n}\n";
+    let mut bytes = binary(text);
+    let at = bytes.windows(3).position(|name| name == b"Zqx");
+    let at = at.expect("short tokens are stored as they are");
+    bytes[at..at + 3].copy_from_slice(b"a-}");
+    let text = text.replace("Zqx", "a-}").into_bytes();
+    for (name, bytes) in [("name.usda", text), ("name.usdc", bytes)] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).expect("a file");
+        let refused = native(&Case::new(&path, None), &Diagnostics::default());
+        let message = refused.expect_err("no name of a prim").to_string();
+        assert!(
+            message.contains(name) && message.contains("a-}"),
+            "{message}"
+        );
+    }
+}
+
 #[test]
 fn bit_flips_are_survived() {
     let folder = tempfile::tempdir().expect("a temporary folder");
