@@ -6,8 +6,7 @@
 
 use super::exr_header::sort_attributes;
 use super::{Error, write_whole};
-use crate::math::sh::COEFFICIENT_COUNT;
-use crate::results::{Aov, AovImage, ValueType};
+use crate::results::{Aov, AovImage, ValueType, name_of_group};
 use ::exr::meta::attribute::{AttributeValue, Chromaticities, IntegerBounds, LineOrder, Text};
 use ::exr::prelude::{
     AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, ImageAttributes,
@@ -230,35 +229,37 @@ fn interop_id(aov: Aov) -> &'static str {
         | ValueType::Normal
         | ValueType::Point
         | ValueType::Id
-        | ValueType::Harmonics => "data",
+        | ValueType::Harmonics
+        | ValueType::ColorHarmonics => "data",
     }
 }
 
-/// Channel suffixes of an AOV, in the order of its components.
+/// Channel suffixes of an AOV, in the order of its components, or of those of each of its parts.
 fn suffixes(aov: Aov) -> &'static [&'static str] {
-    match (aov, aov.value_type()) {
+    match (aov, aov.part_type()) {
         (Aov::Depth, _) => &["Z"],
-        (_, ValueType::Float) => &["Y"],
-        (_, ValueType::Color) => &["R", "G", "B"],
+        (_, ValueType::Float | ValueType::Harmonics) => &["Y"],
+        (_, ValueType::Color | ValueType::ColorHarmonics) => &["R", "G", "B"],
         (_, ValueType::ColorAlpha) => &["R", "G", "B", "A"],
         (_, ValueType::Normal | ValueType::Point) => &["X", "Y", "Z"],
         (_, ValueType::Id) => &["id"],
-        // every component is a layer of its own, see `channels`
-        (_, ValueType::Harmonics) => &["Y"; COEFFICIENT_COUNT],
     }
 }
 
 fn channels(image: &AovImage) -> Vec<AnyChannel<FlatSamples>> {
     let aov = image.aov;
-    let channel = |(component, suffix): (usize, &&str)| {
-        let name = match (aov, aov.component_name(component)) {
-            (Aov::Color, _) if image.group.is_none() => (*suffix).to_owned(),
-            (_, Some(name)) => format!("{name}.{suffix}"),
+    let suffixes = suffixes(aov);
+    let channel = |component: usize| {
+        let suffix = suffixes[component % suffixes.len()];
+        let part = aov.part_names().get(component / suffixes.len());
+        let name = match (aov, part) {
+            (Aov::Color, _) if image.group.is_none() => suffix.to_owned(),
+            (_, Some(part)) => format!("{}.{suffix}", name_of_group(part, image.group.as_deref())),
             (_, None) => format!("{}.{suffix}", image.name()),
         };
         AnyChannel::new(text(&name), samples(image, component))
     };
-    suffixes(aov).iter().enumerate().map(channel).collect()
+    (0..aov.components()).map(channel).collect()
 }
 
 fn samples(image: &AovImage, component: usize) -> FlatSamples {
@@ -270,9 +271,11 @@ fn samples(image: &AovImage, component: usize) -> FlatSamples {
         .copied();
     match image.aov.value_type() {
         ValueType::Color | ValueType::ColorAlpha => FlatSamples::F16(values.map(half).collect()),
-        ValueType::Float | ValueType::Normal | ValueType::Point | ValueType::Harmonics => {
-            FlatSamples::F32(values.collect())
-        }
+        ValueType::Float
+        | ValueType::Normal
+        | ValueType::Point
+        | ValueType::Harmonics
+        | ValueType::ColorHarmonics => FlatSamples::F32(values.collect()),
         ValueType::Id => FlatSamples::U32(values.map(id).collect()),
     }
 }
