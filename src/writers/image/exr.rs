@@ -334,6 +334,7 @@ mod tests {
             image(Aov::Normal, |_, c| [0.6, 0.0, 0.8][c]),
             image(Aov::PrimId, |pixel, _| pixel as f32 - 1.0),
             image(Aov::VisibilitySh, |pixel, c| pixel as f32 - c as f32),
+            image(Aov::RadianceSh, |pixel, c| pixel as f32 - 100.5 * c as f32),
         ]
     }
 
@@ -387,7 +388,7 @@ assert len(file.parts) == 1
 header, channels = file.header(), file.channels()
 kinds = {name: str(c.pixels.dtype) for name, c in channels.items()}
 expected = {n: "float16" for n in ["R", "G", "B", "A", "diffuse_indirect.R", "diffuse_indirect.G", "diffuse_indirect.B"]}
-expected |= {n: "float32" for n in ["occlusion.Y", "depth.Z", "N.X", "N.Y", "N.Z"] + [f"visibility_sh{k}.Y" for k in range(9)]} | {"primId.id": "uint32"}
+expected |= {n: "float32" for n in ["occlusion.Y", "depth.Z", "N.X", "N.Y", "N.Z"] + [f"visibility_sh{k}.Y" for k in range(9)] + [f"radiance_sh{k}.{c}" for k in range(9) for c in "RGB"]} | {"primId.id": "uint32"}
 assert kinds == expected, kinds
 pixel = np.arange(15).reshape(3, 5)
 get = lambda name: channels[name].pixels
@@ -396,6 +397,7 @@ assert (get("diffuse_indirect.B") == 0.5 * pixel + 2).all()
 assert (get("occlusion.Y") == (pixel / np.float32(3)).astype("f4")).all()
 assert get("depth.Z")[0, 0] == np.float32(1e10) and get("N.Z")[1, 1] == np.float32(0.8)
 assert all((get(f"visibility_sh{k}.Y") == pixel - k).all() for k in range(9))
+assert all((get(f"radiance_sh{k}.{c}") == pixel - 100.5 * (3 * k + i)).all() for k in range(9) for i, c in enumerate("RGB"))
 assert get("primId.id")[0, 0] == 0xFFFFFFFF and get("primId.id")[2, 4] == 13
 assert header["compression"] == OpenEXR.ZIP_COMPRESSION, header["compression"]
 assert header["pixelAspectRatio"] == 2
