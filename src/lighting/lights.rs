@@ -22,6 +22,33 @@ pub(super) struct AreaLight {
     shaping: Option<WorldShaping>,
     texture: Option<Picture>,
     casts_shadows: bool,
+    /// A ball around it and what it sends out, about; `None` if it is infinitely far.
+    beacon: Option<Beacon>,
+}
+
+/// What is quickly told of a light's strength at a place.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Beacon {
+    center: Vec3,
+    radius: f32,
+    /// Radiance, its channels summed, times area.
+    strength: f32,
+}
+
+impl Beacon {
+    /// About the irradiance at `point` from it, its channels summed, if nothing is in the way: within a factor where the light faces it, above 0
+    /// wherever there is any.
+    pub(super) fn at(self, point: &ShadePoint) -> f32 {
+        let way = self.center - point.position;
+        let squared = way.length_squared().max(f32::MIN_POSITIVE);
+        let distance = squared.sqrt();
+        let (cosine, edge) = (point.normal.dot(way) / distance, self.radius / distance);
+        if cosine + edge <= 0.0 {
+            return 0.0;
+        }
+        let share = (cosine.max(0.0) + edge).min(1.0);
+        self.strength * share / (squared + self.radius * self.radius)
+    }
 }
 
 /// Patterns shared by all lights.
@@ -85,7 +112,13 @@ impl AreaLight {
             return None;
         }
         let axis = light.world_from_light.transform_vector3(-Vec3::Z);
+        let beacon = shape.ball().map(|(center, radius)| Beacon {
+            center,
+            radius,
+            strength: radiance.element_sum() * shape.size_factor(),
+        });
         Some(Self {
+            beacon,
             shape,
             radiance,
             shaping: (light.shaping).map(|s| WorldShaping::new(s, axis.normalize_or_zero())),
@@ -96,7 +129,7 @@ impl AreaLight {
 
     /// Irradiance, shadows included.
     pub(super) fn irradiance(&self, patterns: &Patterns, stand: &Stand<'_>) -> Vec3 {
-        let unshadowed = self.unshadowed(patterns, stand.point) * self.radiance;
+        let unshadowed = self.open(patterns, stand.point);
         if unshadowed == Vec3::ZERO {
             return Vec3::ZERO;
         }
@@ -108,7 +141,7 @@ impl AreaLight {
 
     /// Irradiance if all of the light were as visible as one place on it, the one numbered `turn`.
     pub(super) fn glance(&self, patterns: &Patterns, stand: &Stand<'_>, turn: usize) -> Vec3 {
-        let unshadowed = self.unshadowed(patterns, stand.point) * self.radiance;
+        let unshadowed = self.open(patterns, stand.point);
         if unshadowed == Vec3::ZERO {
             return Vec3::ZERO;
         }
@@ -120,7 +153,16 @@ impl AreaLight {
         unshadowed * visible
     }
 
-    /// Without extent.
+    /// Irradiance if nothing were in the way.
+    pub(super) fn open(&self, patterns: &Patterns, point: &ShadePoint) -> Vec3 {
+        self.unshadowed(patterns, point) * self.radiance
+    }
+
+    /// What is quickly told of its strength; `None` if it is infinitely far.
+    pub(super) fn beacon(&self) -> Option<Beacon> {
+        self.beacon
+    }
+
     /// Distance to this light along the unit `direction` and radiance from there; `None` where it is not met.
     pub(super) fn seen(&self, origin: Vec3, direction: Vec3) -> Option<(f32, Vec3)> {
         let meeting = self.shape.meet(origin, direction)?;
@@ -133,6 +175,7 @@ impl AreaLight {
         Some((meeting.distance, self.radiance * self.factor(&sample, 0.0)))
     }
 
+    /// Without extent.
     fn is_sharp(&self) -> bool {
         matches!(self.shape, Shape::Point { .. } | Shape::Parallel { .. })
     }

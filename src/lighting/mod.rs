@@ -325,8 +325,9 @@ impl Lighting {
         self.emitters_by(&self.fine, shader, &Stand::new(tracer, point))
     }
 
-    /// Irradiance from all lights and domes by one ray a light and a few to the sky, which `number` chooses: in the mean
-    /// over all numbers the truth. Emissive surfaces are left out.
+    /// Irradiance from all lights and domes by one ray a light, of many lights by four rays to those that matter most, and
+    /// by a few to the sky, all of which `number` chooses: in the mean over all numbers the truth. Emissive surfaces are
+    /// left out.
     pub fn glimpse(&self, tracer: &Tracer, point: &ShadePoint, number: u32) -> Vec3 {
         let stand = Stand::new(tracer, point);
         let sky = if self.has_environment() {
@@ -334,7 +335,7 @@ impl Lighting {
         } else {
             Vec3::ZERO
         };
-        self.glance_by(&self.fine, &stand, number as usize) + sky
+        (self.lights).glimpse(&self.fine.lights, &stand, number) + sky
     }
 
     fn glance_by(&self, detail: &Detail, stand: &Stand<'_>, number: usize) -> Vec3 {

@@ -7,7 +7,7 @@ use super::ShadePoint;
 use super::form_factor::{cap_irradiance, outline_irradiance};
 use super::pattern;
 use crate::math::Frame;
-use glam::{Affine3A, DVec3, Mat3A, Vec2, Vec3, Vec3A};
+use glam::{Affine3A, DVec3, Mat3, Mat3A, Vec2, Vec3, Vec3A};
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
 /// Sides of the polygon that stands in for a disk; of equal area, which leaves 1e-4 of its irradiance as error.
@@ -70,6 +70,28 @@ pub(super) struct LightSample {
 }
 
 impl Shape {
+    /// Center and radius of a ball around it; `None` if it is infinitely far.
+    pub(super) fn ball(&self) -> Option<(Vec3, f32)> {
+        let around = |body: &Ellipsoid, lengths: Vec3| {
+            let axes = Mat3::from(body.world_from_unit.matrix3);
+            let sides = [axes.x_axis, axes.y_axis, axes.z_axis].map(Vec3::length);
+            let center = body.world_from_unit.transform_point3(Vec3::ZERO);
+            (center, (Vec3::from_array(sides) * lengths).length())
+        };
+        match self {
+            Self::Parallel { .. } | Self::Sky { .. } => None,
+            Self::Point { position, .. } => Some((*position, 0.0)),
+            Self::Plane(plane) => {
+                let [a, b] = plane.half.map(Vec3::length);
+                Some((plane.center, a + b))
+            }
+            Self::Ellipsoid(body) => Some(around(body, Vec3::ONE)),
+            Self::Tube { body, half_length } => {
+                Some(around(body, Vec3::new(*half_length, 1.0, 1.0)))
+            }
+        }
+    }
+
     /// A plane light; `half` as in [`Plane`], lit towards `facing`.
     pub(super) fn plane(world_from_light: &Affine3A, half: Vec2, is_disk: bool) -> Self {
         let axis = |v: Vec3| world_from_light.transform_vector3(v);

@@ -512,3 +512,43 @@ fn ball(n: usize) -> Vec<[Vec3; 3]> {
 
 mod emitters;
 mod facets;
+
+#[test]
+fn a_few_looks_at_many_lights_are_true_in_the_mean() {
+    let block = quad(
+        Vec3::new(-0.5, 1.0, -0.5),
+        Vec3::new(-0.5, 1.0, 0.5),
+        Vec3::new(0.5, 1.0, 0.5),
+        Vec3::new(0.5, 1.0, -0.5),
+    );
+    let point = up_at(Vec3::new(0.1, 0.0, 0.0));
+    for count in [30, 300] {
+        let mut scene = scene(vec![mesh(&block)], &[(0, Affine3A::IDENTITY)]);
+        let mut random = Random(7);
+        scene.lights = (0..count)
+            .map(|_| {
+                let [x, y, z] = [0; 3].map(|_| random.next());
+                let place = Vec3::new(6.0 * x - 3.0, 1.5 + y, 6.0 * z - 3.0);
+                let kind = LightKind::Sphere {
+                    radius: 0.05,
+                    treat_as_point: false,
+                };
+                light(kind, Affine3A::from_translation(place))
+            })
+            .collect();
+        let diagnostics = Diagnostics::default();
+        let shader = Shader::new(&scene, &diagnostics);
+        let tracer = Tracer::new(&scene);
+        let lighting = Lighting::new(&shader, ONE_LIGHT, &diagnostics);
+        let exact = lighting.lights(&tracer, &point).x;
+        let looks = 4096;
+        let mean = (0..looks)
+            .map(|number| lighting.glimpse(&tracer, &point, number * 977).x)
+            .sum::<f32>()
+            / looks as f32;
+        assert!(
+            exact > 0.0 && (mean / exact - 1.0).abs() < 0.02,
+            "{mean} {exact}"
+        );
+    }
+}
