@@ -8,6 +8,7 @@ use program::{run, stage, stderr};
 use std::f32::consts::PI;
 use std::fs;
 use std::path::Path;
+use surflux::math::sh::{CLAMPED_COSINE, Sh9};
 
 /// A ball of radius 1, moved far off, under a sky of radiance 1 and a sun from +Z.
 const STAGE: &str = r#"#usda 1.0
@@ -50,7 +51,11 @@ def Xform "set"
 "#;
 
 fn baked(points: &str, aovs: &str) -> (std::process::Output, String) {
-    let (folder, path) = stage(STAGE);
+    baked_on(STAGE, points, aovs)
+}
+
+fn baked_on(text: &str, points: &str, aovs: &str) -> (std::process::Output, String) {
+    let (folder, path) = stage(text);
     let (cloud, out) = (
         folder.path().join("points.usda"),
         folder.path().join("out.usda"),
@@ -124,6 +129,86 @@ fn points_off_all_surfaces_see_what_closed_forms_say_and_keep_what_they_had() {
     let open = POINTS.replace("(0, 0, -3)", "(2, 0, -3)");
     let (_, layer) = baked(&open, "irradiance_direct");
     near(numbers(&layer, "primvars:irradiance_direct")[6], 2.0, 1e-3);
+}
+
+/// A colored floor and a ball on it in the sun, and a wall that faces it.
+const LIT: &str = r#"#usda 1.0
+( metersPerUnit = 1
+  upAxis = "Y" )
+def Xform "World"
+{
+    def Mesh "floor"
+    {
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        point3f[] points = [(-4, 0, 4), (4, 0, 4), (4, 0, -4), (-4, 0, -4)]
+        color3f[] primvars:displayColor = [(0.8, 0.5, 0.2)]
+    }
+    def Mesh "wall"
+    {
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        point3f[] points = [(-4, 0, -4), (4, 0, -4), (4, 4, -4), (-4, 4, -4)]
+        color3f[] primvars:displayColor = [(0.2, 0.4, 0.8)]
+    }
+    def Sphere "ball"
+    {
+        double radius = 1
+        double3 xformOp:translate = (2, 1, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def DistantLight "sun"
+    {
+        float inputs:intensity = 2
+        float inputs:angle = 0
+        bool inputs:normalize = 1
+        float xformOp:rotateX = -50
+        uniform token[] xformOpOrder = ["xformOp:rotateX"]
+    }
+}
+"#;
+
+/// One place, seen above and below its first normal, and along six others.
+const TURNED: &str = r#"#usda 1.0
+( metersPerUnit = 1
+  upAxis = "Y" )
+def Points "p"
+{
+    point3f[] points = [(0, 1.5, 0), (0, 1.5, 0), (0, 1.5, 0), (0, 1.5, 0), (0, 1.5, 0), (0, 1.5, 0), (0, 1.5, 0), (0, 1.5, 0)]
+    normal3f[] normals = [(0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (0, 0, 1), (0, 0, -1), (0.6, -0.8, 0), (0, -0.6, -0.8)] (interpolation = "vertex")
+    float[] widths = [0.1] (interpolation = "constant")
+}
+"#;
+
+#[test]
+fn harmonics_of_reflected_light_light_whatever_is_put_in_their_place() {
+    let aovs = "irradiance_indirect,radiance_sh";
+    let (done, layer) = baked_on(LIT, TURNED, aovs);
+    assert!(done.status.success(), "{}", stderr(&done));
+    let coefficients: Vec<Vec<f32>> = (0..9)
+        .map(|k| numbers(&layer, &format!("color3f[] primvars:radiance_sh{k}")))
+        .collect();
+    let normals = numbers(&layer, "normal3f[] normals");
+    let light = numbers(&layer, "primvars:irradiance_indirect");
+    let brightest = light.iter().copied().fold(0.0, f32::max);
+    assert!(brightest > 0.5 && normals.len() == 24, "{light:?}");
+    for channel in 0..3 {
+        // What comes from above the first normal, and what comes from below it.
+        let whole = Sh9(std::array::from_fn(|k| {
+            coefficients[k][channel] + coefficients[k][3 + channel]
+        }));
+        let irradiance = whole.convolved(CLAMPED_COSINE);
+        for (normal, light) in normals.chunks_exact(3).zip(light.chunks_exact(3)) {
+            let told = irradiance.evaluate(glam::Vec3::from_slice(normal));
+            // Nine coefficients of a clamped cosine are off by up to 1/16.
+            let off = (told - light[channel]).abs();
+            assert!(
+                off < 0.04 * brightest,
+                "{normal:?}: {told} {}",
+                light[channel]
+            );
+        }
+    }
 }
 
 #[test]

@@ -229,6 +229,25 @@ const BAKED: [Aov; 2] = [Aov::Occlusion, Aov::Irradiance];
 const USUAL_TOLERANCE: f64 = 0.02;
 const LEFT_TO_COME: f64 = 0.25;
 
+/// # Errors
+/// Where AOVs of reflected light do not fit the bounces or the engine.
+fn check_reflected(args: &GatherArgs, aovs: &[Aov]) -> anyhow::Result<()> {
+    let is_reflected = |aov: &&Aov| matches!(aov, Aov::IrradianceIndirect | Aov::RadianceSh);
+    let reflected = aovs
+        .iter()
+        .find(is_reflected)
+        .filter(|_| args.bounces == BouncesArg::Count(0));
+    if let Some(aov) = reflected {
+        bail!("--bounces 0 leaves nothing for {aov} (right: 1 or more)");
+    }
+    if args.gather == EngineName::Raster && aovs.contains(&Aov::RadianceSh) {
+        bail!(
+            "--aov radiance_sh: engine raster keeps no directions of the light (use rays or paper)"
+        );
+    }
+    Ok(())
+}
+
 fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
     let aovs = aovs(&args.aov)?;
     let has_error = aovs.iter().find(|aov| aov.error_of().is_some());
@@ -250,9 +269,7 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
     if args.falloff != Falloff::None && args.max_distance.is_none() {
         bail!("--falloff needs --max-distance: where what covers has faded to nothing");
     }
-    if args.bounces == BouncesArg::Count(0) && aovs.contains(&Aov::IrradianceIndirect) {
-        bail!("--bounces 0 leaves nothing for irradiance_indirect (right: 1 or more)");
-    }
+    check_reflected(&args, &aovs)?;
     Ok(GatherJob {
         aovs,
         bounces: match args.bounces {

@@ -72,10 +72,11 @@ pub fn estimate(
 
 /// AOVs of `results` that a better look at the hemisphere can change. Not directions: where next to nothing is
 /// open a single ray decides its direction, so that its error says nothing that the visibility's does not say better.
+/// Nor harmonics, whose coefficients have no mean to compare with.
 /// Nor direct light, nor an environment unless it is `uniform`: they have samples of their own.
 fn measured(results: &Results, uniform: bool) -> Vec<Aov> {
     let depends = |&aov: &Aov| {
-        if aov.error_of().is_some() {
+        if aov.error_of().is_some() || aov == Aov::RadianceSh {
             return false;
         }
         let open = [Aov::Occlusion, Aov::Visibility, Aov::ReflectionOcclusion];

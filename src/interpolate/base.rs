@@ -13,7 +13,7 @@ pub(super) fn of(scene: GatherScene<'_>, aovs: &[Aov]) -> Vec<Aov> {
         base.push(Aov::Visibility);
     }
     base.extend(
-        [Aov::BentNormal, Aov::VisibilitySh]
+        [Aov::BentNormal, Aov::VisibilitySh, Aov::RadianceSh]
             .iter()
             .filter(|aov| aovs.contains(aov)),
     );

@@ -3,11 +3,13 @@
 use crate::results::{Aov, Results};
 
 /// The AOV whose error stands for that of `aov`: occlusion is measured as visibility, and so are its harmonics and the
-/// bent normal, which where next to nothing is open hangs on a single ray; the direction of the light as its strength.
+/// bent normal, which where next to nothing is open hangs on a single ray; the direction of the light as its strength;
+/// harmonics of radiance as the irradiance.
 pub fn measured_as(aov: Aov) -> Aov {
     match aov {
         Aov::Occlusion | Aov::BentNormal | Aov::VisibilitySh => Aov::Visibility,
         Aov::IlluminationDirection => Aov::IrradianceEnvironment,
+        Aov::RadianceSh => Aov::IrradianceIndirect,
         other => other,
     }
 }

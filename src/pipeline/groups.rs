@@ -25,7 +25,10 @@ pub(super) fn gather_parts(
     let by_cloud = job.splits_clouds && !job.clouds.is_empty();
     let adds_up = |aov: &Aov| match by_cloud {
         // The other sums hold light of other sources too.
-        true => matches!(aov, Aov::IrradianceIndirect | Aov::DiffuseIndirect),
+        true => matches!(
+            aov,
+            Aov::IrradianceIndirect | Aov::DiffuseIndirect | Aov::RadianceSh
+        ),
         false => !world.groups.is_empty() && aov.adds_up(),
     };
     let (split, others): (Vec<_>, Vec<_>) = aovs.iter().copied().partition(adds_up);

@@ -116,16 +116,15 @@ fn of_buffer(buffer: &AovBuffer, group: Option<&str>, places: Places<'_>) -> Vec
         name: name_of_group(name, group).into_owned(),
         values,
     };
-    let floats = |index: usize| {
-        ColumnValues::Floats(spread(places, |row| {
-            buffer.data[row * aov.components() + index]
-        }))
+    let (width, names) = (aov.components(), aov.part_names().iter().enumerate());
+    let floats =
+        |index: usize| ColumnValues::Floats(spread(places, |row| buffer.data[row * width + index]));
+    let colors = |part: usize| {
+        let color = |row: usize| Vec3::from_slice(&buffer.data[row * width + 3 * part..]);
+        ColumnValues::Vectors(VectorKind::Color, spread(places, color))
     };
     match aov.value_type() {
-        ValueType::Color => vec![column(
-            aov.name(),
-            vectors(VectorKind::Color, buffer, places),
-        )],
+        ValueType::Color => vec![column(aov.name(), colors(0))],
         ValueType::Normal => vec![column(
             aov.name(),
             vectors(VectorKind::Normal, buffer, places),
@@ -134,8 +133,11 @@ fn of_buffer(buffer: &AovBuffer, group: Option<&str>, places: Places<'_>) -> Vec
             aov.name(),
             vectors(VectorKind::Vector, buffer, places),
         )],
-        ValueType::Harmonics => (0..aov.components())
-            .filter_map(|index| Some(column(aov.component_name(index)?, floats(index))))
+        ValueType::Harmonics => names
+            .map(|(part, name)| column(name, floats(part)))
+            .collect(),
+        ValueType::ColorHarmonics => names
+            .map(|(part, name)| column(name, colors(part)))
             .collect(),
         ValueType::Float | ValueType::Id | ValueType::ColorAlpha => {
             vec![column(aov.name(), floats(0))]
@@ -145,9 +147,10 @@ fn of_buffer(buffer: &AovBuffer, group: Option<&str>, places: Places<'_>) -> Vec
 
 /// What shows `buffer`: its values, numbers in gray.
 fn display_color(buffer: &AovBuffer, places: Places<'_>) -> Column {
-    let values = match buffer.aov.components() {
-        3 => spread(places, |row| Vec3::from_slice(&buffer.data[3 * row..])),
-        count => spread(places, |row| Vec3::splat(buffer.data[count * row])),
+    let width = buffer.aov.components();
+    let values = match buffer.aov.part_components() {
+        3 => spread(places, |row| Vec3::from_slice(&buffer.data[width * row..])),
+        _ => spread(places, |row| Vec3::splat(buffer.data[width * row])),
     };
     Column {
         name: "displayColor".to_owned(),

@@ -171,7 +171,7 @@ pub(super) fn of_bake(
         let is_shown = |channel: &&Channel| {
             let name = channel.name.as_str();
             (name == aov.name() && Some(name) != paired)
-                || (*aov == Aov::VisibilitySh && name == "visibility_sh0")
+                || aov.part_names().first() == Some(&name)
                 || of_group(name)
         };
         for channel in subject.channels.iter().filter(is_shown) {

@@ -22,6 +22,9 @@ pub enum ValueType {
     /// 9 coefficients of spherical harmonics ([`crate::math::sh::Sh9`]); on disk 9 results of one float each,
     /// `NAME0` … `NAME8`: EXR channels `NAME0.Y` …, USD `float[]` primvars.
     Harmonics,
+    /// The same of a linear color, the three channels of one coefficient after those of the other; on disk 9 colors,
+    /// EXR `NAME0.R/G/B` … in `f32` (coefficients may be negative), USD `color3f[]` primvars.
+    ColorHarmonics,
 }
 
 /// What the coefficients of `visibility_sh` are called on disk.
@@ -35,6 +38,19 @@ const VISIBILITY_SH_NAMES: [&str; COEFFICIENT_COUNT] = [
     "visibility_sh6",
     "visibility_sh7",
     "visibility_sh8",
+];
+
+/// What the coefficients of `radiance_sh` are called on disk.
+const RADIANCE_SH_NAMES: [&str; COEFFICIENT_COUNT] = [
+    "radiance_sh0",
+    "radiance_sh1",
+    "radiance_sh2",
+    "radiance_sh3",
+    "radiance_sh4",
+    "radiance_sh5",
+    "radiance_sh6",
+    "radiance_sh7",
+    "radiance_sh8",
 ];
 
 macro_rules! aovs {
@@ -94,6 +110,10 @@ aovs! {
     /// Coefficients of the function that is 1 in open directions above the horizon of the shading normal and 0 in all
     /// others, without a cosine, world space. PBGI §8.7.
     VisibilitySh, "visibility_sh", Harmonics;
+    /// Coefficients of the radiance that arrives after 1…`--bounces` reflections, from directions above the horizon of
+    /// the shading normal (0 from all others), without a cosine, world space: for relighting what stands there or is bent.
+    /// PBGI §8.7.
+    RadianceSh, "radiance_sh", ColorHarmonics;
     /// Shading normal.
     Normal, "N", Normal;
     /// World position.
@@ -111,23 +131,39 @@ aovs! {
 }
 
 impl Aov {
-    /// Floats a value: 1, 3, 4 or 9.
+    /// Floats a value: 1, 3, 4, 9 or 27.
     pub fn components(self) -> usize {
         match self.value_type() {
             ValueType::Float | ValueType::Id => 1,
             ValueType::Color | ValueType::Normal | ValueType::Point => 3,
             ValueType::ColorAlpha => 4,
             ValueType::Harmonics => COEFFICIENT_COUNT,
+            ValueType::ColorHarmonics => 3 * COEFFICIENT_COUNT,
         }
     }
 
-    /// The name on disk of component `index` where each is a result of its own: `visibility_sh0` …; `None` for all
-    /// other types.
-    pub fn component_name(self, index: usize) -> Option<&'static str> {
+    /// The names on disk of the parts of a value that are results of their own, in order and of equal length:
+    /// `visibility_sh0` …; empty for all others, which are one.
+    pub fn part_names(self) -> &'static [&'static str] {
         match self {
-            Self::VisibilitySh => VISIBILITY_SH_NAMES.get(index).copied(),
-            _ => None,
+            Self::VisibilitySh => &VISIBILITY_SH_NAMES,
+            Self::RadianceSh => &RADIANCE_SH_NAMES,
+            _ => &[],
         }
+    }
+
+    /// Type of each part of a value that has parts, and of the value of those that have none.
+    pub fn part_type(self) -> ValueType {
+        match self.value_type() {
+            ValueType::Harmonics => ValueType::Float,
+            ValueType::ColorHarmonics => ValueType::Color,
+            whole => whole,
+        }
+    }
+
+    /// Floats of a part: 1, 3 or 4.
+    pub fn part_components(self) -> usize {
+        self.components() / self.part_names().len().max(1)
     }
 
     /// True if computing it needs direct light at the receivers.
@@ -167,6 +203,7 @@ impl Aov {
                 | Self::DiffuseIndirect
                 | Self::SpecularIndirect
                 | Self::Color
+                | Self::RadianceSh
                 | Self::ErrorIrradianceIndirect
         )
     }
@@ -184,6 +221,7 @@ impl Aov {
                 | Self::SpecularIndirect
                 | Self::Emission
                 | Self::Color
+                | Self::RadianceSh
         )
     }
 
@@ -271,15 +309,18 @@ mod tests {
     }
 
     #[test]
-    fn exactly_the_components_of_harmonics_have_names() {
+    fn exactly_the_coefficients_of_harmonics_are_parts() {
         for &aov in Aov::ALL {
-            let named = (0..10).filter_map(|k| aov.component_name(k)).count();
-            let expected = match aov.value_type() {
-                ValueType::Harmonics => aov.components(),
-                _ => 0,
+            let (parts, floats) = match aov.value_type() {
+                ValueType::Harmonics => (9, 1),
+                ValueType::ColorHarmonics => (9, 3),
+                _ => (0, aov.components()),
             };
-            assert_eq!(named, expected, "{aov}");
+            assert_eq!(aov.part_names().len(), parts, "{aov}");
+            assert_eq!(aov.part_components(), floats, "{aov}");
+            for (k, name) in aov.part_names().iter().enumerate() {
+                assert_eq!(*name, format!("{aov}{k}"));
+            }
         }
-        assert_eq!(Aov::VisibilitySh.component_name(8), Some("visibility_sh8"));
     }
 }

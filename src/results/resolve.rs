@@ -58,7 +58,11 @@ impl Rule {
             (_, ValueType::Normal) => Self::Direction,
             (
                 _,
-                ValueType::Float | ValueType::Color | ValueType::ColorAlpha | ValueType::Harmonics,
+                ValueType::Float
+                | ValueType::Color
+                | ValueType::ColorAlpha
+                | ValueType::Harmonics
+                | ValueType::ColorHarmonics,
             ) => Self::Sum,
         }
     }

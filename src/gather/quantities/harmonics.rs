@@ -1,9 +1,9 @@
-//! Directional visibility as spherical harmonics. PBGI §8.7.
+//! Directional visibility and the light that arrives by reflection, as spherical harmonics. PBGI §8.7.
 
 use super::Seen;
 use crate::gather::Hemisphere;
 use crate::math::sh::{COEFFICIENT_COUNT, Sh9};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use std::f32::consts::{PI, TAU};
 
 /// Directions that stand for more than this many times the mean solid angle stand for equal parts of theirs: those next
@@ -45,6 +45,39 @@ pub fn visibility(seen: &Seen<'_>) -> Sh9 {
         coefficient
     };
     Sh9(std::array::from_fn(coefficient))
+}
+
+/// Coefficients of the radiance that surfaces send by reflection from above the horizon of the shading normal, 0 from below:
+/// no cosine, world space, basis of [`Sh9`], `[coefficient][channel]`. Convolved with the clamped cosine and evaluated
+/// at a direction: the irradiance there, as far as 9 coefficients tell.
+///
+/// Exact where the same light comes from everywhere: what the pattern of directions makes of that, against the closed
+/// form, is taken off by the mean radiance.
+pub fn radiance(seen: &Seen<'_>) -> [[f32; 3]; COEFFICIENT_COUNT] {
+    let (hemisphere, normal) = (seen.hemisphere, seen.receivers.normal[seen.index]);
+    let angles = SolidAngles::of(hemisphere, normal);
+    if angles.whole == 0.0 {
+        return [[0.0; 3]; COEFFICIENT_COUNT];
+    }
+    let mut light = [DVec3::ZERO; COEFFICIENT_COUNT];
+    let mut all = [0.0_f64; COEFFICIENT_COUNT];
+    let mut sum = DVec3::ZERO;
+    let directions = hemisphere.direction.iter().zip(&hemisphere.weight);
+    for ((&direction, &weight), &reflected) in directions.zip(&hemisphere.reflected) {
+        let solid_angle = angles.share(direction.dot(normal), weight);
+        let part = reflected.as_dvec3() * solid_angle;
+        sum += part;
+        for (k, basis) in Sh9::basis(direction).0.into_iter().enumerate() {
+            all[k] += f64::from(basis) * solid_angle;
+            light[k] += f64::from(basis) * part;
+        }
+    }
+    let (factor, mean) = (f64::from(TAU) / angles.whole, sum / angles.whole);
+    let exact = Sh9::zonal(normal, [TAU, PI, 0.0]);
+    std::array::from_fn(|k| {
+        let error = all[k] * factor - f64::from(exact.0[k]);
+        (light[k] * factor - mean * error).as_vec3().to_array()
+    })
 }
 
 /// How the directions of a hemisphere share it.
@@ -154,8 +187,43 @@ mod tests {
     }
 
     #[test]
+    fn even_light_has_the_harmonics_of_a_step_and_a_spot_those_of_its_direction() {
+        let color = Vec3::new(0.5, 1.0, 2.0);
+        let lit: Vec<_> = (pattern(256, |_| true).into_iter())
+            .map(|(direction, weight, coverage, _)| (direction, weight, coverage, color))
+            .collect();
+        let exact = Sh9::zonal(Vec3::Y, [TAU, PI, 0.0]);
+        with_seen(&lit, |seen| {
+            for (found, exact) in radiance(seen).iter().zip(exact.0) {
+                let off = Vec3::from_array(*found) - color * exact;
+                assert!(off.abs().max_element() < 1e-5, "{found:?} {exact}");
+            }
+        });
+        let toward = Vec3::new(0.6, 0.64, -0.48);
+        let cone: f32 = 0.02;
+        let spot = |d: Vec3| d.dot(toward) > 1.0 - cone;
+        let lit: Vec<_> = (pattern(16_384, spot).into_iter())
+            .map(|(direction, weight, coverage, _)| (direction, weight, coverage, color * coverage))
+            .collect();
+        // A cap of 1 − cos = 0.02: of band l, 2π ∫ Pₗ(t) dt over the cap.
+        let low = 1.0 - cone;
+        let bands = [TAU * cone, PI * (1.0 - low * low), PI * (low - low.powi(3))];
+        let exact = Sh9::zonal(toward, bands);
+        with_seen(&lit, |seen| {
+            for (found, exact) in radiance(seen).iter().zip(exact.0) {
+                let off = Vec3::from_array(*found) - color * exact;
+                assert!(
+                    off.abs().max_element() < 0.03 * TAU * cone,
+                    "{found:?} {exact}"
+                );
+            }
+        });
+    }
+
+    #[test]
     fn nothing_seen_is_nothing_open() {
         with_seen(&[], |seen| assert_eq!(visibility(seen), Sh9::default()));
+        with_seen(&[], |seen| assert_eq!(radiance(seen), [[0.0; 3]; 9]));
         with_seen(&pattern(64, |_| true), |seen| {
             assert_eq!(visibility(seen), Sh9::default());
         });

@@ -56,6 +56,7 @@ pub fn write(aov: Aov, seen: &Seen<'_>, out: &mut [f32]) {
         Aov::BentNormal => put(out, bent_normal::bent_normal(seen)),
         Aov::IlluminationDirection => put(out, bent_normal::illumination_direction(seen)),
         Aov::VisibilitySh => out.copy_from_slice(&harmonics::visibility(seen).0),
+        Aov::RadianceSh => out.copy_from_slice(harmonics::radiance(seen).as_flattened()),
         Aov::IrradianceDirect => put(out, seen.direct),
         Aov::IrradianceEnvironment => put(out, seen.environment),
         // A lobe's directions carry what it reflects of them: their sum is all of it.

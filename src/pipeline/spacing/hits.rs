@@ -533,8 +533,8 @@ fn carrier(aov: Aov) -> Aov {
     match aov {
         Aov::Irradiance => Aov::IrradianceIndirect,
         Aov::Color => Aov::DiffuseIndirect,
-        // What a lobe sees is part of what the hemisphere does.
-        Aov::SpecularIndirect => Aov::IrradianceIndirect,
+        // What a lobe sees is part of what the hemisphere does, and harmonics tell from where.
+        Aov::SpecularIndirect | Aov::RadianceSh => Aov::IrradianceIndirect,
         other => other,
     }
 }

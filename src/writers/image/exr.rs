@@ -6,8 +6,7 @@
 
 use super::exr_header::sort_attributes;
 use super::{Error, write_whole};
-use crate::math::sh::COEFFICIENT_COUNT;
-use crate::results::{Aov, AovImage, ValueType};
+use crate::results::{Aov, AovImage, ValueType, name_of_group};
 use ::exr::meta::attribute::{AttributeValue, Chromaticities, IntegerBounds, LineOrder, Text};
 use ::exr::prelude::{
     AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, ImageAttributes,
@@ -230,35 +229,37 @@ fn interop_id(aov: Aov) -> &'static str {
         | ValueType::Normal
         | ValueType::Point
         | ValueType::Id
-        | ValueType::Harmonics => "data",
+        | ValueType::Harmonics
+        | ValueType::ColorHarmonics => "data",
     }
 }
 
-/// Channel suffixes of an AOV, in the order of its components.
+/// Channel suffixes of an AOV, in the order of its components, or of those of each of its parts.
 fn suffixes(aov: Aov) -> &'static [&'static str] {
-    match (aov, aov.value_type()) {
+    match (aov, aov.part_type()) {
         (Aov::Depth, _) => &["Z"],
-        (_, ValueType::Float) => &["Y"],
-        (_, ValueType::Color) => &["R", "G", "B"],
+        (_, ValueType::Float | ValueType::Harmonics) => &["Y"],
+        (_, ValueType::Color | ValueType::ColorHarmonics) => &["R", "G", "B"],
         (_, ValueType::ColorAlpha) => &["R", "G", "B", "A"],
         (_, ValueType::Normal | ValueType::Point) => &["X", "Y", "Z"],
         (_, ValueType::Id) => &["id"],
-        // every component is a layer of its own, see `channels`
-        (_, ValueType::Harmonics) => &["Y"; COEFFICIENT_COUNT],
     }
 }
 
 fn channels(image: &AovImage) -> Vec<AnyChannel<FlatSamples>> {
     let aov = image.aov;
-    let channel = |(component, suffix): (usize, &&str)| {
-        let name = match (aov, aov.component_name(component)) {
-            (Aov::Color, _) if image.group.is_none() => (*suffix).to_owned(),
-            (_, Some(name)) => format!("{name}.{suffix}"),
+    let suffixes = suffixes(aov);
+    let channel = |component: usize| {
+        let suffix = suffixes[component % suffixes.len()];
+        let part = aov.part_names().get(component / suffixes.len());
+        let name = match (aov, part) {
+            (Aov::Color, _) if image.group.is_none() => suffix.to_owned(),
+            (_, Some(part)) => format!("{}.{suffix}", name_of_group(part, image.group.as_deref())),
             (_, None) => format!("{}.{suffix}", image.name()),
         };
         AnyChannel::new(text(&name), samples(image, component))
     };
-    suffixes(aov).iter().enumerate().map(channel).collect()
+    (0..aov.components()).map(channel).collect()
 }
 
 fn samples(image: &AovImage, component: usize) -> FlatSamples {
@@ -270,9 +271,11 @@ fn samples(image: &AovImage, component: usize) -> FlatSamples {
         .copied();
     match image.aov.value_type() {
         ValueType::Color | ValueType::ColorAlpha => FlatSamples::F16(values.map(half).collect()),
-        ValueType::Float | ValueType::Normal | ValueType::Point | ValueType::Harmonics => {
-            FlatSamples::F32(values.collect())
-        }
+        ValueType::Float
+        | ValueType::Normal
+        | ValueType::Point
+        | ValueType::Harmonics
+        | ValueType::ColorHarmonics => FlatSamples::F32(values.collect()),
         ValueType::Id => FlatSamples::U32(values.map(id).collect()),
     }
 }
@@ -331,6 +334,7 @@ mod tests {
             image(Aov::Normal, |_, c| [0.6, 0.0, 0.8][c]),
             image(Aov::PrimId, |pixel, _| pixel as f32 - 1.0),
             image(Aov::VisibilitySh, |pixel, c| pixel as f32 - c as f32),
+            image(Aov::RadianceSh, |pixel, c| pixel as f32 - 100.5 * c as f32),
         ]
     }
 
@@ -384,7 +388,7 @@ assert len(file.parts) == 1
 header, channels = file.header(), file.channels()
 kinds = {name: str(c.pixels.dtype) for name, c in channels.items()}
 expected = {n: "float16" for n in ["R", "G", "B", "A", "diffuse_indirect.R", "diffuse_indirect.G", "diffuse_indirect.B"]}
-expected |= {n: "float32" for n in ["occlusion.Y", "depth.Z", "N.X", "N.Y", "N.Z"] + [f"visibility_sh{k}.Y" for k in range(9)]} | {"primId.id": "uint32"}
+expected |= {n: "float32" for n in ["occlusion.Y", "depth.Z", "N.X", "N.Y", "N.Z"] + [f"visibility_sh{k}.Y" for k in range(9)] + [f"radiance_sh{k}.{c}" for k in range(9) for c in "RGB"]} | {"primId.id": "uint32"}
 assert kinds == expected, kinds
 pixel = np.arange(15).reshape(3, 5)
 get = lambda name: channels[name].pixels
@@ -393,6 +397,7 @@ assert (get("diffuse_indirect.B") == 0.5 * pixel + 2).all()
 assert (get("occlusion.Y") == (pixel / np.float32(3)).astype("f4")).all()
 assert get("depth.Z")[0, 0] == np.float32(1e10) and get("N.Z")[1, 1] == np.float32(0.8)
 assert all((get(f"visibility_sh{k}.Y") == pixel - k).all() for k in range(9))
+assert all((get(f"radiance_sh{k}.{c}") == pixel - 100.5 * (3 * k + i)).all() for k in range(9) for i, c in enumerate("RGB"))
 assert get("primId.id")[0, 0] == 0xFFFFFFFF and get("primId.id")[2, 4] == 13
 assert header["compression"] == OpenEXR.ZIP_COMPRESSION, header["compression"]
 assert header["pixelAspectRatio"] == 2

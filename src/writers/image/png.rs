@@ -98,7 +98,7 @@ fn pixels_like(image: &AovImage, like: &AovImage) -> Vec<u8> {
     match (image.aov, image.aov.value_type()) {
         (Aov::Depth, _) => depth(&image.data),
         (_, ValueType::Float) => image.data.iter().map(|value| srgb::code(*value)).collect(),
-        (_, ValueType::Color | ValueType::ColorAlpha) => {
+        (_, ValueType::Color | ValueType::ColorAlpha | ValueType::ColorHarmonics) => {
             colors(image, exposure(&like.data, like.aov.components()))
         }
         (_, ValueType::Normal) => image

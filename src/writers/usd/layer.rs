@@ -222,26 +222,28 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f32 {
     (values.sum::<f64>() / count) as f32
 }
 
-/// The primvars of an AOV's numbers: one of its own name, or one a component; name, USD type, value.
+/// The primvars of an AOV's numbers: one of its own name, or one a part; name, USD type, value.
 fn named(aov: Aov, values: Vec<f32>) -> Vec<(&'static str, &'static str, Value)> {
-    if aov.component_name(0).is_none() {
+    let names = aov.part_names();
+    if names.is_empty() {
         let (type_name, value) = typed(aov, values);
         return vec![(aov.name(), type_name, value)];
     }
-    let component = |index: usize| {
-        let name = aov.component_name(index)?;
-        let column = values.iter().skip(index).step_by(aov.components());
-        let (type_name, value) = typed(aov, column.copied().collect());
-        Some((name, type_name, value))
+    let width = aov.part_components();
+    let part = |(index, &name): (usize, &&'static str)| {
+        let own = (values.chunks_exact(aov.components()))
+            .flat_map(|value| &value[index * width..][..width]);
+        let (type_name, value) = typed(aov, own.copied().collect());
+        (name, type_name, value)
     };
-    (0..aov.components()).filter_map(component).collect()
+    names.iter().enumerate().map(part).collect()
 }
 
-/// USD type and value of an AOV's numbers, or of those of one component where each is a primvar of its own.
+/// USD type and value of an AOV's numbers, or of those of one of its parts.
 fn typed(aov: Aov, values: Vec<f32>) -> (&'static str, Value) {
-    match aov.value_type() {
+    match aov.part_type() {
         ValueType::Float | ValueType::Harmonics => ("float[]", Value::FloatVec(values)),
-        ValueType::Color => ("color3f[]", vectors(&values)),
+        ValueType::Color | ValueType::ColorHarmonics => ("color3f[]", vectors(&values)),
         ValueType::Normal => ("normal3f[]", vectors(&values)),
         ValueType::Point => ("point3f[]", vectors(&values)),
         ValueType::ColorAlpha => {
@@ -264,12 +266,13 @@ fn vectors(values: &[f32]) -> Value {
     Value::Vec3fVec(vectors.collect())
 }
 
-/// The numbers of an AOV as colors to look at: the values themselves; of harmonics the first coefficient, as gray.
+/// The numbers of an AOV as colors to look at: the values themselves, single ones as gray; of harmonics the first
+/// coefficient.
 fn colors(aov: Aov, values: &[f32]) -> Value {
     let width = aov.components();
-    let color = |value: &[f32]| match *value {
-        [gray] | [gray, _, _, _, _, ..] => gf::Vec3f::from([gray; 3]),
-        _ => gf::Vec3f::from([value[0], value[1], value[2]]),
+    let color = |value: &[f32]| match value[..aov.part_components()] {
+        [red, green, blue, ..] => gf::Vec3f::from([red, green, blue]),
+        _ => gf::Vec3f::from([value[0]; 3]),
     };
     Value::Vec3fVec(values.chunks_exact(width).map(color).collect())
 }
