@@ -290,7 +290,7 @@ MOVERS = ("velocities", "angularVelocities")
 PLAIN = frozenset(
     ("points", "extent", "faceVertexCounts", "faceVertexIndices", "curveVertexCounts", "holeIndices", "creaseIndices",
      "creaseLengths", "creaseSharpnesses", "cornerIndices", "cornerSharpnesses", "protoIndices", "positions", "indices")
-)  # fmt: skip
+)
 
 
 class Names:
