@@ -52,9 +52,35 @@ except BaseException as problem:  # a broken installation may raise anything
     sys.exit(1)
 
 ALIGNMENT = 64
+# Bytes to write at a time.
+BATCH = 1 << 20
 UDIM = "<UDIM>"
 PROTOTYPE = re.compile(r"/__Prototype_[0-9]+(?=[/.]|$)")
 FALLBACK_SOURCES = (Usd.ResolveInfoSourceFallback, Usd.ResolveInfoSourceNone)
+# Methods, called with their object as an argument: `prim.GetPath()` looks first whether the prim has not expired, which takes
+# three times as long as the method. No stage changes while it is walked.
+get_path = Usd.Object.GetPath
+get_name = Usd.Object.GetName
+get_metadata = Usd.Object.GetMetadata
+has_metadata = Usd.Object.HasAuthoredMetadata
+get_type_name = Usd.Prim.GetTypeName
+get_schemas = Usd.Prim.GetAppliedSchemas
+get_properties = Usd.Prim.GetAuthoredProperties
+is_instance = Usd.Prim.IsInstance
+get_prototype = Usd.Prim.GetPrototype
+get_targets = Usd.Relationship.GetTargets
+get_value_type = Usd.Attribute.GetTypeName
+get_value = Usd.Attribute.Get
+get_resolve_info = Usd.Attribute.GetResolveInfo
+has_connections = Usd.Attribute.HasAuthoredConnections
+has_color_space = Usd.Attribute.HasColorSpace
+might_vary = Usd.Attribute.ValueMightBeTimeVarying
+
+# Looked up in their modules, these take longer than to be compared.
+RELATIONSHIP = Usd.Relationship
+ASSET_PATH = Sdf.AssetPath
+DEFAULT_SOURCE = Usd.ResolveInfoSourceDefault
+
 # Value type names of arrays whose numpy view holds plain numbers, with the type surflux keeps them as.
 KEPT_AS = {"b": "i4", "u1": "i4", "i4": "i4", "u4": "i4", "i8": "i8", "u8": "i8", "f2": "f4", "f4": "f4", "f8": "f4"}
 
@@ -98,7 +124,7 @@ class Arrays:
         for folder in folders:
             handle, path = tempfile.mkstemp(dir=folder)
             try:
-                with os.fdopen(handle, "wb") as file:
+                with os.fdopen(handle, "wb", BATCH) as file:
                     self.write_to(file, folder, partial)
                 if partial:
                     os.remove(partial)
@@ -120,37 +146,58 @@ class Arrays:
         if partial:
             with open(partial, "rb") as written:
                 shutil.copyfileobj(written, file, 1 << 20)
+        self.items.sort(key=lambda item: -item[0])  # written from the front, let go from the back of the list
         while self.items:
-            offset, array = self.items[-1]
-            if array.nbytes:
-                file.seek(offset)
-                file.write(array.reshape(-1).view(numpy.uint8).data)
+            at = self.items[-1][0]
+            file.seek(at)
+            count = pending = 0
+            for offset, array in reversed(self.items):
+                file.write(bytes(offset - at))
+                file.write(array)
+                at = offset + array.nbytes
+                count += 1
+                pending += array.nbytes
+                if pending >= BATCH:
+                    break
             file.flush()
-            self.items.pop()
+            del self.items[-count:]
 
 
-def scalar_value(value):
-    """One value that is not an array, as {kind: content}; None when surflux has no use for its type."""
-    if isinstance(value, bool):
-        return {"bool": value}
-    if isinstance(value, int):
-        return {"int": min(value, LARGEST_INT)}
-    if isinstance(value, float):
-        return {"float": number(value)}
-    if isinstance(value, str):
-        return {"token": value}
-    kind = type(value).__name__
-    if kind == "TimeCode":
-        return {"float": number(value.GetValue())}
-    if kind == "PathExpression":
-        return {"token": value.GetText()}
-    if kind.startswith("Vec"):
-        return {"vector": components(value)}
-    if kind.startswith("Quat"):
-        return {"quat": components(value.GetImaginary()) + [number(value.GetReal())]}
-    if kind == "Matrix4d":
-        return {"matrix": [number(value[row, column]) for row in range(4) for column in range(4)]}
-    return None
+def matrix(value):
+    return [number(value[row, column]) for row in range(4) for column in range(4)]
+
+
+# What becomes of a value of a class that the type name tells, as {kind: content}.
+CONTENTS = {
+    "bool": lambda value: {"bool": value},
+    "int": lambda value: {"int": min(value, LARGEST_INT)},
+    "float": lambda value: {"float": number(value)},
+    "str": lambda value: {"token": value},
+    "TimeCode": lambda value: {"float": number(value.GetValue())},
+    "PathExpression": lambda value: {"token": value.GetText()},
+    "Matrix4d": lambda value: {"matrix": matrix(value)},
+}
+
+
+def vector(value):
+    return {"vector": components(value)}
+
+
+def vector3(value):
+    return {"vector": [number(value[0]), number(value[1]), number(value[2])]}
+
+
+def quaternion(value):
+    return {"quat": components(value.GetImaginary()) + [number(value.GetReal())]}
+
+
+def content_of(kind):
+    """How values of the class `kind` are spelled; None when surflux has no use for them."""
+    name = kind.__name__
+    known = CONTENTS.get(name)
+    if known is None and name.startswith("Vec"):
+        return vector3 if name.startswith("Vec3") else vector
+    return quaternion if known is None and name.startswith("Quat") else known
 
 
 def udim_path(attribute, time, authored):
@@ -181,39 +228,51 @@ def asset_value(attribute, time, value):
     return {"asset": [authored, resolved]}
 
 
+# Classes of Vt arrays that hold plain numbers: what they become, the conversion to that or None, and their width.
+LAYOUTS = {}
+
+
+def layout(kind, array):
+    """See `LAYOUTS`; None for kinds without use."""
+    name = array.dtype.str[1:]
+    kept = KEPT_AS.get("b" if name == "b1" else name)
+    if kept is None or array.ndim > 2 and kind != "Matrix4dArray":
+        return None
+    if kind == "Matrix4dArray":
+        kept = "f8"
+    elif array.ndim == 2:
+        kept = "f4"  # int2[] and the like have no integer form in surflux
+    width = 1
+    for extent in array.shape[1:]:
+        width *= extent
+    quaternions = "q" if kind.startswith("Quat") else ""
+    return quaternions + kept, None if name == kept else "<" + kept, width
+
+
 def array_value(value, arrays):
-    """A Vt array as {"array": [offset, type, shape]} or {"tokens": [...]}; None for kinds without use."""
+    """A Vt array as {"array": [offset, type, rows, columns]} or {"tokens": [...]}; None for kinds without use."""
     kind = type(value).__name__
     if kind in ("TokenArray", "StringArray"):
         # iterating ends in an exception, which takes long for the many short ones (xformOpOrder)
-        few = len(value) <= 16
-        return {"tokens": [value[i] for i in range(len(value))] if few else list(value)}
+        count = len(value)
+        return {"tokens": [value[i] for i in range(count)] if count <= 16 else list(value)}
     if kind == "AssetPathArray":
         return {"tokens": [asset.resolvedPath or asset.path for asset in value]}
     if kind == "TimeCodeArray":  # an array of objects before usd-core 25
         array = numpy.array([time.GetValue() for time in value], dtype="<f8")
     else:
         array = numpy.asarray(value)
-    name = array.dtype.str[1:]
-    kept = KEPT_AS.get("b" if name == "b1" else name)
-    if kept is None:
+    if kind not in LAYOUTS:
+        LAYOUTS[kind] = layout(kind, array)
+    known = LAYOUTS[kind]
+    if known is None:
         return None
-    shape = list(array.shape)
-    if kind == "Matrix4dArray":
-        kept = "f8"
-    elif len(shape) == 2:
-        kept = "f4"  # int2[] and the like have no integer form in surflux
-    elif len(shape) > 2:
-        return None
-    if array.dtype.str[1:] != kept:
+    kept, conversion, width = known
+    if conversion:
         # values out of range become infinities here and are refused where they are used
         with numpy.errstate(over="ignore", invalid="ignore"):
-            array = array.astype("<" + kept)
-    width = 1
-    for extent in shape[1:]:
-        width *= extent
-    quaternions = "q" if kind.startswith("Quat") else ""
-    return {"array": [arrays.add(array), quaternions + kept, shape[0], width]}
+            array = array.astype(conversion)
+    return {"array": [arrays.add(array), kept, len(array), width]}
 
 
 def matcher(patterns):
@@ -227,14 +286,51 @@ MOVED = ("positions", "velocities", "accelerations", "orientations", "orientatio
 MOVERS = ("velocities", "angularVelocities")
 
 
+# Arrays of the schemas that have elements of one value each, whatever their metadata say.
+PLAIN = frozenset(
+    ("points", "extent", "faceVertexCounts", "faceVertexIndices", "curveVertexCounts", "holeIndices", "creaseIndices",
+     "creaseLengths", "creaseSharpnesses", "cornerIndices", "cornerSharpnesses", "protoIndices", "positions", "indices")
+)
+
+
+class Names:
+    """What is to be done with properties, by name: made out once for each of the few names of a stage."""
+
+    def __init__(self, request):
+        self.is_wanted = matcher(request["attributes"])
+        self.is_listed = matcher(request["values_not_needed"])
+        self.known = {}
+
+    def get(self, name):
+        known = self.known.get(name)
+        if known is None:
+            known = self.known[name] = Name(name, self.is_wanted(name), self.is_listed(name))
+        return known
+
+
+class Name:
+    def __init__(self, name, is_wanted, is_listed):
+        self.is_read = is_wanted and not is_listed
+        self.is_kept = is_wanted or is_listed
+        self.is_listed = is_listed
+        self.is_op = name.startswith("xformOp")  # they know neither connections nor color spaces
+        self.is_primvar = name.startswith("primvars:")
+        self.is_plain = name in PLAIN
+        self.is_inbetween = name.startswith("inbetweens:")
+        self.is_binding = name.startswith("material:binding")
+        # tokens of geometry have no color space
+        self.may_have_space = ":" in name and not self.is_op
+        # the order of transforms has one type in all schemas
+        self.type = ("token[]", True, False, False) if name == "xformOpOrder" else None
+
+
 class Loader:
     """One load: walks a stage and fills the index and the arrays."""
 
     def __init__(self, stage, time, request):
         self.stage = stage
         self.time = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
-        self.wants = matcher(request["attributes"])
-        self.name_only = matcher(request["values_not_needed"])
+        self.names = Names(request)
         self.arrays = Arrays()
         self.values = 0  # read so far in this load
         self.varying = []  # (attribute, name, entry) of what has to be read anew at another time
@@ -243,7 +339,9 @@ class Loader:
         # Prototype paths are numbered anew in order of first use: usd-core's own numbers may differ between runs.
         self.prototypes = []
         self.prototype_numbers = {}
-        self.types = {}  # spelling, is an array, may have a color space; by type name
+        self.prototype_paths = {}
+        self.types = {}  # spelling, is an array, may have a color space, has one; by type name
+        self.contents = {}  # see `content_of`
         self.has_materialx = any(
             asset.lower().endswith(".mtlx")
             for layer in stage.GetUsedLayers()
@@ -260,9 +358,12 @@ class Loader:
             self.walk_range(Usd.PrimRange(self.prototypes[done], Usd.PrimDefaultPredicate))
             done += 1
         for prim in self.prims:
-            prim["path"] = self.stage_path(prim["path"])
             if "prototype" in prim:
                 prim["prototype"] = roots[prim["prototype"]]
+        for prim in self.prims if roots else ():
+            if not prim["path"].startswith("/__Prototype_"):
+                continue
+            prim["path"] = self.stage_path(prim["path"])
             for targets in prim.get("relationships", {}).values():
                 targets[0] = [self.stage_path(target) for target in targets[0]]
             for attribute in prim.get("attributes", {}).values():
@@ -296,7 +397,7 @@ class Loader:
         walk = iter(prim_range)
         base = None
         for prim in walk:
-            path = prim.GetPath()
+            path = get_path(prim)
             depth = path.pathElementCount
             if base is None:
                 base = depth
@@ -309,16 +410,16 @@ class Loader:
             parents.append(index)
 
     def prim_entry(self, prim, path):
-        type_name = prim.GetTypeName()
+        type_name = get_type_name(prim)
         entry = {"path": path, "type": type_name}
-        schemas = prim.GetAppliedSchemas()
+        schemas = get_schemas(prim)
         if schemas:
             entry["schemas"] = [str(schema) for schema in schemas]
-        kind = prim.GetMetadata("kind")
+        kind = get_metadata(prim, "kind")
         if kind:
             entry["kind"] = str(kind)
-        if prim.IsInstance():
-            entry["prototype"] = self.prototype_number(prim.GetPrototype())
+        if is_instance(prim):
+            entry["prototype"] = self.prototype_number(get_prototype(prim))
         if self.has_materialx and (prim.HasAuthoredReferences() or prim.HasAuthoredPayloads()):
             documents = self.materialx_entry(prim)
             if documents:
@@ -330,12 +431,14 @@ class Loader:
                 entry["inactive_ids"] = list(inactive.GetAddedOrExplicitItems())
             moved = MOVED if self.moves(prim) else ()
         attributes, relationships, unread = {}, {}, []
-        for item in prim.GetAuthoredProperties():
-            name = item.GetName()
-            if isinstance(item, Usd.Relationship):
-                relationships[name] = self.relationship_entry(item, name)
-            elif self.wants(name) or self.name_only(name) or name in moved:
-                attributes[name] = self.attribute_entry(item, name, name in moved)
+        names = self.names
+        for item in get_properties(prim):
+            name = get_name(item)
+            what = names.get(name)
+            if item.__class__ is RELATIONSHIP:
+                relationships[name] = self.relationship_entry(item, what)
+            elif what.is_kept or name in moved:
+                attributes[name] = self.attribute_entry(item, name, what, name in moved)
             else:
                 unread.append(name)
         for key, value in (("attributes", attributes), ("relationships", relationships), ("unread", unread)):
@@ -357,22 +460,23 @@ class Loader:
         return found
 
     def prototype_number(self, prototype):
-        path = str(prototype.GetPath())
-        if path not in self.prototype_numbers:
-            self.prototype_numbers[path] = len(self.prototypes)
+        known = self.prototype_numbers.get(prototype)
+        if known is None:
+            known = self.prototype_numbers[prototype] = len(self.prototypes)
+            self.prototype_paths[str(prototype.GetPath())] = known
             self.prototypes.append(prototype)
-        return self.prototype_numbers[path]
+        return known
 
     def stage_path(self, path):
         match = PROTOTYPE.match(path)
-        if not match or match.group() not in self.prototype_numbers:
+        if not match or match.group() not in self.prototype_paths:
             return path
-        return "/__Prototype_%d%s" % (self.prototype_numbers[match.group()] + 1, path[match.end() :])
+        return "/__Prototype_%d%s" % (self.prototype_paths[match.group()] + 1, path[match.end() :])
 
     @staticmethod
-    def relationship_entry(relationship, name):
-        targets = [str(target) for target in relationship.GetTargets()]
-        strength = relationship.GetMetadata("bindMaterialAs") if name.startswith("material:binding") else None
+    def relationship_entry(relationship, what):
+        targets = [str(target) for target in get_targets(relationship)]
+        strength = get_metadata(relationship, "bindMaterialAs") if what.is_binding else None
         return [targets, str(strength) if strength else None]
 
     def moves(self, prim):
@@ -392,39 +496,39 @@ class Loader:
 
     def type_of(self, attribute):
         """See `self.types`."""
-        type_name = attribute.GetTypeName()
+        type_name = get_value_type(attribute)
         known = self.types.get(type_name)
         if known is None:
             spelling = str(type_name)
-            has_space = spelling.startswith(("color", "asset", "token", "string"))
-            known = self.types[type_name] = (spelling, type_name.isArray, has_space)
+            has_space = spelling.startswith(("color", "asset"))
+            may_have_space = spelling.startswith(("token", "string"))
+            known = self.types[type_name] = (spelling, type_name.isArray, may_have_space, has_space)
         return known
 
-    def attribute_entry(self, attribute, name, is_moved):
-        spelling, is_array, has_space = self.type_of(attribute)
+    def attribute_entry(self, attribute, name, what, is_moved):
+        spelling, is_array, may_have_space, has_space = what.type or self.type_of(attribute)
         entry = {"type": spelling}
-        is_op = name.startswith("xformOp")  # they know neither connections nor color spaces
-        if not is_op and attribute.HasAuthoredConnections():
-            entry["connections"] = [str(path) for path in attribute.GetConnections()]
-        if is_array and not is_op or name.startswith("primvars:"):
-            interpolation = attribute.GetMetadata("interpolation")
-            if interpolation:
-                entry["interpolation"] = str(interpolation)
-            if attribute.HasAuthoredMetadata("elementSize"):
-                entry["element_size"] = attribute.GetMetadata("elementSize")
-            if name.startswith("inbetweens:") and attribute.HasAuthoredMetadata("weight"):
-                entry["weight"] = number(attribute.GetMetadata("weight"))
-        if has_space and not is_op and attribute.HasColorSpace():
-            entry["color_space"] = str(attribute.GetColorSpace())
+        if not what.is_op:
+            if has_connections(attribute):
+                entry["connections"] = [str(path) for path in attribute.GetConnections()]
+            if is_array or what.is_primvar:
+                interpolation = get_metadata(attribute, "interpolation")
+                if interpolation:
+                    entry["interpolation"] = str(interpolation)
+                if not what.is_plain and has_metadata(attribute, "elementSize"):
+                    entry["element_size"] = get_metadata(attribute, "elementSize")
+                if what.is_inbetween and has_metadata(attribute, "weight"):
+                    entry["weight"] = number(get_metadata(attribute, "weight"))
+            if (has_space or may_have_space and what.may_have_space) and has_color_space(attribute):
+                entry["color_space"] = str(attribute.GetColorSpace())
         if is_moved:
             held = self.held(attribute)
             if held:
                 entry["held"] = held
-        source = attribute.GetResolveInfo().GetSource()
-        is_default = source == Usd.ResolveInfoSourceDefault
-        if not is_default and attribute.ValueMightBeTimeVarying():
+        is_default = get_resolve_info(attribute).GetSource() == DEFAULT_SOURCE
+        if not is_default and might_vary(attribute):
             entry["varying"] = True
-        if (self.wants(name) or is_moved) and not self.name_only(name):
+        if what.is_read or is_moved and not what.is_listed:
             value = self.value(attribute, is_array, is_default)
             if value is not None:
                 entry["value"] = value
@@ -437,17 +541,22 @@ class Loader:
     def value(self, attribute, is_array, is_default):
         # A fallback is not authored: a time-sampled attribute has none at the default time, a blocked one never.
         # Where a default is the strongest opinion at other times, it is at the default time too.
-        if not is_default and attribute.GetResolveInfo(self.time).GetSource() in FALLBACK_SOURCES:
+        if not is_default and get_resolve_info(attribute, self.time).GetSource() in FALLBACK_SOURCES:
             return None
-        value = attribute.Get(self.time)
+        value = get_value(attribute, self.time)
         if value is None:
             return None
         self.values += 1
         if is_array:
             return array_value(value, self.arrays)
-        if isinstance(value, Sdf.AssetPath):
+        kind = value.__class__
+        if kind is ASSET_PATH:
             return asset_value(attribute, self.time, value)
-        return scalar_value(value)
+        contents = self.contents
+        if kind not in contents:
+            contents[kind] = content_of(kind)
+        spelled = contents[kind]
+        return spelled(value) if spelled else None
 
 
 # Relationships and connections whose targets a masked prim needs besides itself.
