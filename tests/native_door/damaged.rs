@@ -68,6 +68,25 @@ fn old_binary_layers_are_refused_with_the_way_out() {
     );
 }
 
+/// Found by the fuzz run of seed 501, case 22407: the crate composes without end.
+#[test]
+fn relocates_into_what_their_prim_refers_to_are_refused() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let text = "#usda 1.0\n( relocates = { </W/A/x>: </W/moved> } )\n\
+        def \"W\" { def \"A\" ( references = </W/moved> ) {} }\n";
+    let bytes = text.as_bytes().to_vec();
+    for (name, bytes) in [("circle.usda", bytes), ("circle.usdc", binary(text))] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).expect("a file");
+        let refused = native(&Case::new(&path, None), &Diagnostics::default());
+        let message = refused.expect_err("it runs in circles").to_string();
+        assert!(
+            message.contains(name) && message.contains("--usd usd-core"),
+            "{message}"
+        );
+    }
+}
+
 /// Found by the fuzz run of seed 501, case 18425: the crate's stack overflows at the path `/}`.
 #[test]
 fn prims_with_names_that_usd_does_not_allow_are_refused() {
