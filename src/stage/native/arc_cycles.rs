@@ -65,6 +65,8 @@ struct Walk<'a> {
     all: &'a Arcs,
     way: Vec<Site>,
     done: BTreeSet<(String, Path)>,
+    /// Circles of references alone count too: the crate does not find them behind a relocation.
+    of_any_arc: bool,
 }
 
 impl Arcs {
@@ -85,11 +87,14 @@ impl Arcs {
         for root in self.layers.keys() {
             let stack = self.stack(root);
             for (from, to) in stack.iter().flat_map(|layer| &layer.moves) {
-                if Walk::new(self).returns(root, to) {
+                if Walk::new(self).of_any_arc().returns(root, to) {
                     return Err(format!(
                         "relocates move <{from}> to <{to}>, and what is there refers to itself by way of that: it would hold itself without end"
                     ));
                 }
+            }
+            if stack.iter().any(|layer| !layer.moves.is_empty()) {
+                self.check_stack(root)?;
             }
         }
         Ok(())
@@ -132,7 +137,13 @@ impl<'a> Walk<'a> {
             all,
             way: Vec::new(),
             done: BTreeSet::new(),
+            of_any_arc: false,
         }
+    }
+
+    fn of_any_arc(mut self) -> Self {
+        self.of_any_arc = true;
+        self
     }
 
     /// True if a way from the prim at `path` comes to it again, or to one below it, by an arc that counts; so for all
@@ -171,7 +182,7 @@ impl<'a> Walk<'a> {
 
     /// True if `site` is one of the way or below one of it, with an arc that counts between.
     fn closes(&self, site: &Site) -> bool {
-        let mut counts = site.counts;
+        let mut counts = site.counts || self.of_any_arc;
         for earlier in self.way.iter().rev() {
             if counts && earlier.stack == site.stack && site.path.has_prefix(&earlier.path) {
                 return true;
