@@ -107,8 +107,7 @@ impl StageArgs {
 
 fn run(job: &pipeline::Job, settings: &RunSettings) -> anyhow::Result<()> {
     let cancel = CancelToken::default();
-    let on_signal = cancel.clone();
-    ctrlc::set_handler(move || on_signal.cancel())?;
+    cancel_on_signal(&cancel)?;
     rayon::ThreadPoolBuilder::new()
         .num_threads(settings.threads)
         .build_global()?;
@@ -134,4 +133,16 @@ fn run(job: &pipeline::Job, settings: &RunSettings) -> anyhow::Result<()> {
             Err(error.into())
         }
     }
+}
+
+/// Ctrl-C and the like ask the run to end, which leaves nothing behind; the second time the process ends at once: what
+/// does not look at the token, as a library in an endless loop, cannot be asked.
+fn cancel_on_signal(cancel: &CancelToken) -> Result<(), ctrlc::Error> {
+    let cancel = cancel.clone();
+    ctrlc::set_handler(move || {
+        if cancel.is_cancelled() {
+            std::process::exit(1);
+        }
+        cancel.cancel();
+    })
 }

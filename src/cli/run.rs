@@ -51,8 +51,7 @@ pub(super) struct RunArgs {
 /// Run a recipe with all its steps.
 pub(super) fn run(args: RunArgs) -> anyhow::Result<()> {
     let cancel = CancelToken::default();
-    let on_signal = cancel.clone();
-    ctrlc::set_handler(move || on_signal.cancel())?;
+    super::cancel_on_signal(&cancel)?;
     let diagnostics = Diagnostics::new(Box::new(Silent), cancel);
     let frames = |text: &str| -> Result<Vec<f64>, String> {
         let frames: Frames = text.parse().map_err(|error| format!("{error}"))?;

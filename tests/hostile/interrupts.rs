@@ -311,3 +311,34 @@ fn stderr_is_quiet(run: &mut Run) -> bool {
     let mut rest = run.child.stderr.take().expect("piped");
     rest.read_to_string(&mut said).is_ok() && !said.contains("Traceback")
 }
+
+/// True once the process handles interrupts itself.
+fn handles_interrupts(process: u32) -> bool {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    let mask = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask & 0b10 != 0)
+}
+
+/// A stage that nobody writes into the pipe never opens: nothing looks at the first interrupt.
+#[test]
+fn a_second_interrupt_ends_what_does_not_listen() {
+    let folder = folder();
+    let stage = folder.path().join("pipe.usda");
+    let made = Command::new("mkfifo").arg(&stage).status();
+    assert!(made.expect("mkfifo runs").success());
+    let mut command = surflux_by("native", "bake");
+    command.arg(&stage).arg("-o");
+    command.arg(folder.path().join("out.usdc"));
+    let mut run = Run::start(folder, command);
+    let start = Instant::now();
+    while !handles_interrupts(run.child.id()) {
+        assert!(start.elapsed() < PATIENCE, "it never got there");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    run.interrupt();
+    std::thread::sleep(Duration::from_secs(1));
+    assert_eq!(run.child.try_wait().expect("waitable"), None);
+    run.interrupt();
+    run.ends_with("", &[]);
+}

@@ -68,6 +68,77 @@ fn old_binary_layers_are_refused_with_the_way_out() {
     );
 }
 
+/// Found by the fuzz run of seed 501, case 22407: the crate composes without end.
+#[test]
+fn relocates_into_what_their_prim_refers_to_are_refused() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let text = "#usda 1.0\n( relocates = { </W/A/x>: </W/moved> } )\n\
+        def \"W\" { def \"A\" ( references = </W/moved> ) {} }\n";
+    let bytes = text.as_bytes().to_vec();
+    for (name, bytes) in [("circle.usda", bytes), ("circle.usdc", binary(text))] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).expect("a file");
+        let refused = native(&Case::new(&path, None), &Diagnostics::default());
+        let message = refused.expect_err("it runs in circles").to_string();
+        assert!(
+            message.contains(name) && message.contains("--usd usd-core"),
+            "{message}"
+        );
+    }
+}
+
+/// The crate composes them without end or until the stack overflows; usd-core ignores an arc and warns.
+#[test]
+fn circles_of_several_kinds_of_arcs_are_refused() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let write = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, format!("#usda 1.0\n{text}")).expect("a file");
+        path
+    };
+    write(
+        "moves.usda",
+        "( relocates = { </W/A/x>: </W/moved> } )\ndef \"W\" {}\n",
+    );
+    write(
+        "refers.usda",
+        "def \"W\" { def \"A\" ( references = @top.usda@</W/moved> ) {} }\n",
+    );
+    let layers = write(
+        "top.usda",
+        "( subLayers = [@moves.usda@, @refers.usda@] )\n",
+    );
+    let classes = write(
+        "classes.usda",
+        "def \"W\" { def \"c\" ( specializes = </W/b> ) {} def \"b\" { def \"a\" ( references = </W/c/a> ) {} } }\n",
+    );
+    for path in [layers, classes] {
+        let refused = native(&Case::new(&path, None), &Diagnostics::default());
+        let message = refused.expect_err("it runs in circles").to_string();
+        assert!(
+            message.contains("hold itself") && message.contains("--usd usd-core"),
+            "{message}"
+        );
+    }
+}
+
+/// Found by the fuzz run of seed 601, case 187364: the crate reserved 75 PB for an array of strings.
+#[test]
+fn lists_that_stand_in_place_of_their_offset_are_refused() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let text = "#usda 1.0\n( customLayerData = { string[] n = [\"x\", \"y\"] } )\ndef \"W\" {}\n";
+    let mut bytes = binary(text);
+    // array, kind 10 (string): the first such value
+    let rep = (0..bytes.len() - 8).find(|&at| bytes[at + 6..at + 8] == [10, 0x80]);
+    let rep = rep.expect("it has an array of strings");
+    bytes[rep..rep + 8].copy_from_slice(&[1, 0, 0, 0, 0, 0, 10, 0xc0]);
+    let path = folder.path().join("list.usdc");
+    std::fs::write(&path, bytes).expect("a file");
+    let refused = native(&Case::new(&path, None), &Diagnostics::default());
+    let message = refused.expect_err("no offset").to_string();
+    assert!(message.contains("only an offset can"), "{message}");
+}
+
 /// Found by the fuzz run of seed 501, case 18425: the crate's stack overflows at the path `/}`.
 #[test]
 fn prims_with_names_that_usd_does_not_allow_are_refused() {

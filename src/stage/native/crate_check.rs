@@ -3,6 +3,7 @@
 //!
 //! Layout: `pxr/usd/usd/crateFile.cpp` of OpenUSD. This file checks the sections, [`super::crate_values`] the values.
 
+use super::arc_cycles;
 use super::crate_values;
 use super::text::is_identifier;
 
@@ -18,6 +19,8 @@ const MOST_SECTIONS: u64 = 64;
 pub(super) struct Soundness {
     /// It may hold inherits or specializes.
     pub(super) has_classes: bool,
+    /// It may hold relocates.
+    pub(super) has_relocates: bool,
 }
 
 /// # Errors
@@ -65,7 +68,13 @@ pub(super) fn check(bytes: &[u8]) -> Result<Soundness, String> {
     if let Some(at) = section("FIELDS") {
         crate_values::check(bytes, minor, &reps(Reader::new(bytes, at))?)?;
     }
-    Ok(Soundness { has_classes })
+    let has_relocates = arc_cycles::WORDS
+        .iter()
+        .any(|word| tokens.contains(&word.as_bytes()));
+    Ok(Soundness {
+        has_classes,
+        has_relocates,
+    })
 }
 
 fn version(bytes: &[u8]) -> Result<u8, String> {
@@ -405,7 +414,11 @@ mod tests {
         let mut file = std::io::Cursor::new(Vec::new());
         openusd::usdc::CrateWriter::write(&data, &mut file).unwrap();
         let bytes = file.into_inner();
-        assert_eq!(check(&bytes), Ok(Soundness { has_classes: false }));
+        let sound = Soundness {
+            has_classes: false,
+            has_relocates: false,
+        };
+        assert_eq!(check(&bytes), Ok(sound));
         for length in 0..bytes.len() {
             assert!(
                 check(&bytes[..length]).is_err(),

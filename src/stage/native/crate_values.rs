@@ -44,12 +44,15 @@ impl<'a> Values<'a> {
             return Err(format!("values are nested more than {DEEPEST} deep"));
         }
         let payload = rep & PAYLOAD;
-        if rep & INLINED != 0 || (rep & ARRAY != 0 && payload == 0) {
+        let kind = (rep >> 48) & 0xff;
+        if rep & INLINED != 0 {
+            return may_be_inlined(kind, rep & ARRAY != 0);
+        }
+        if rep & ARRAY != 0 && payload == 0 {
             return Ok(());
         }
         let at = usize::try_from(payload).map_err(|_| cut_off())?;
         let reader = Reader::new(self.bytes, at);
-        let kind = (rep >> 48) & 0xff;
         match rep & ARRAY != 0 {
             true => self.array(kind, rep & COMPRESSED != 0, reader),
             false => self.single(kind, reader, depth),
@@ -135,6 +138,17 @@ impl<'a> Values<'a> {
             self.value(rep, depth + 1)?;
         }
         Ok(())
+    }
+}
+
+/// The crate takes what stands in place of an offset for one where nothing but an offset makes sense.
+fn may_be_inlined(kind: u64, is_array: bool) -> Result<(), String> {
+    let is_list = matches!(kind, 32..=41 | 45 | 46 | 48..=50 | 54 | 55 | 58);
+    match is_array || is_list {
+        true => Err(format!(
+            "a value of kind {kind} stands where only an offset can"
+        )),
+        false => Ok(()),
     }
 }
 

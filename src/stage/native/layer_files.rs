@@ -1,6 +1,7 @@
 //! Asset paths → files, as Pixar's default resolver finds them, and files → layers the crate can be trusted with:
 //! text repaired ([`text`]), binary checked ([`crate_check`]), package entries read in place ([`package`]).
 
+use super::arc_cycles::{self, Arcs};
 use super::class_cycles::ClassArcs;
 use super::package::Package;
 use super::{crate_check, text};
@@ -34,7 +35,15 @@ pub(super) struct LayerFiles {
     packages: RefCell<HashMap<PathBuf, Option<Rc<Package>>>>,
     udims: RefCell<HashMap<String, bool>>,
     classes: RefCell<ClassArcs>,
+    relocates: RefCell<Relocates>,
     last: RefCell<Option<(PathBuf, Option<Opened>)>>,
+}
+
+/// Until a layer with relocates comes, layers are only noted: their arcs count from then on.
+#[derive(Default)]
+struct Relocates {
+    noted: Vec<String>,
+    known: Option<Arcs>,
 }
 
 /// Identifier of the session layer of a stage that has none of its own: no file has such a name.
@@ -128,6 +137,7 @@ impl LayerFiles {
             packages: RefCell::default(),
             udims: RefCell::default(),
             classes: RefCell::default(),
+            relocates: RefCell::default(),
             last: RefCell::default(),
         }
     }
@@ -280,37 +290,92 @@ impl LayerFiles {
         if path == EMPTY_SESSION {
             return Ok(EMPTY_LAYER.into());
         }
-        let bytes = match ar::split_package_relative_path_outer(path) {
-            Some((package, inner)) => Package::open(Path::new(&package))?.read(&inner)?,
-            None => std::fs::read(path)?,
-        };
+        let bytes = self.bytes(path)?;
         if is_package(path) {
             return Ok(bytes);
         }
         if bytes.starts_with(CRATE_MAGIC) {
             let soundness = crate_check::check(&bytes).map_err(io::Error::other)?;
-            if soundness.has_classes {
+            let has_relocates = soundness.has_relocates;
+            if soundness.has_classes || self.relocates_count(path, has_relocates) {
                 let data = CrateData::open(Cursor::new(&bytes), true).map_err(io::Error::other)?;
-                self.check_classes(&data)?;
+                self.check_arcs(path, &data)?;
             }
             return Ok(bytes);
         }
         let text = String::from_utf8(bytes).map_err(io::Error::other)?;
         let repaired = text::repaired(&text).map_err(io::Error::other)?;
         let text = repaired.unwrap_or(text);
-        if CLASS_WORDS.iter().any(|word| text.contains(word)) {
-            self.check_classes(&openusd::usda::parse(&text).map_err(io::Error::other)?)?;
+        let has = |words: [&str; 2]| words.iter().any(|word| text.contains(word));
+        let has_relocates = has(arc_cycles::WORDS);
+        if has(CLASS_WORDS) || self.relocates_count(path, has_relocates) {
+            self.check_arcs(
+                path,
+                &openusd::usda::parse(&text).map_err(io::Error::other)?,
+            )?;
         }
         Ok(text.into_bytes())
     }
 
-    /// Layers with inherits or specializes are parsed once more for this: they are few and small, and the crate does
-    /// not survive the bad ones.
-    fn check_classes(&self, layer: &dyn AbstractData) -> io::Result<()> {
-        self.classes
-            .borrow_mut()
-            .add(layer)
-            .map_err(io::Error::other)
+    fn bytes(&self, path: &str) -> io::Result<Vec<u8>> {
+        match ar::split_package_relative_path_outer(path) {
+            Some((package, inner)) => Package::open(Path::new(&package))?.read(&inner),
+            None => std::fs::read(path),
+        }
+    }
+
+    /// True if relocates were met, in the layer `path` (`has_relocates`) or before it, so that its arcs matter.
+    fn relocates_count(&self, path: &str, has_relocates: bool) -> bool {
+        let mut relocates = self.relocates.borrow_mut();
+        if relocates.known.is_none() && !has_relocates {
+            relocates.noted.push(path.to_owned());
+            return false;
+        }
+        if relocates.known.is_none() {
+            let mut known = Arcs::default();
+            for path in std::mem::take(&mut relocates.noted) {
+                self.add_again(&path, &mut known);
+            }
+            relocates.known = Some(known);
+        }
+        true
+    }
+
+    /// Take in a layer that was read before relocates were met. It was sound then.
+    fn add_again(&self, path: &str, known: &mut Arcs) {
+        let Ok(bytes) = self.bytes(path) else {
+            return;
+        };
+        let anchored = |asset: &str| self.stack_root(asset, path);
+        if bytes.starts_with(CRATE_MAGIC) {
+            if let Ok(data) = CrateData::open(Cursor::new(&bytes), true) {
+                known.add(path, &data, &anchored);
+            }
+        } else if let Ok(Some(text)) = super::checked_layer(bytes)
+            && let Ok(data) = openusd::usda::parse(&text)
+        {
+            known.add(path, &data, &anchored);
+        }
+    }
+
+    /// The layer that `asset` stands for in the layer `path`; of a package its first.
+    fn stack_root(&self, asset: &str, path: &str) -> String {
+        self.real_path(&self.anchored(asset, Some(path)))
+    }
+
+    /// Layers with inherits, specializes or relocates are parsed once more for this: they are few and small, and the
+    /// crate does not survive the bad ones.
+    fn check_arcs(&self, path: &str, layer: &dyn AbstractData) -> io::Result<()> {
+        let relocates = &mut *self.relocates.borrow_mut();
+        if let Some(known) = &mut relocates.known {
+            known.add(path, layer, &|asset| self.stack_root(asset, path));
+            known.check_moves().map_err(io::Error::other)?;
+        }
+        let mut classes = self.classes.borrow_mut();
+        classes.add(layer).map_err(io::Error::other)?;
+        let mut alone = Arcs::default();
+        alone.add(path, layer, &|asset| self.stack_root(asset, path));
+        alone.check_stack(path).map_err(io::Error::other)
     }
 }
 

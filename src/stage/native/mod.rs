@@ -5,6 +5,7 @@
 //! saying so is repaired (`text`) or refused; what it cannot read is an error that names the layer.
 
 mod ahead;
+mod arc_cycles;
 mod class_cycles;
 mod complaints;
 mod convert;

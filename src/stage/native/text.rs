@@ -3,8 +3,8 @@
 //! Repaired: numbers like `.5` and `5.`, quoted asset paths, `True` and `False`, `//` and `/* */` comments, whole
 //! numbers among the samples of a real attribute (the crate would not interpolate them), asset paths among samples,
 //! escapes in strings.
-//! Refused: names of prims that are no identifiers, several statements for one relationship in one prim (the crate would keep the last), and nesting so deep
-//! that the crate's recursion would end the process.
+//! Refused: names of prims that are no identifiers, paths that are none, several statements for one relationship in one
+//! prim (the crate would keep the last), and nesting so deep that the crate's recursion would end the process.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -99,7 +99,7 @@ impl<'a> Scanner<'a> {
                 b'/' if matches!(self.peek(1), b'/' | b'*') => self.comment(),
                 b'"' | b'\'' => self.string()?,
                 b'@' => self.asset(),
-                b'<' => self.skip_to(b'>'),
+                b'<' => self.path()?,
                 byte if byte.is_ascii_digit() => self.number(),
                 b'.' if self.peek(1).is_ascii_digit() => self.number(),
                 b'-' | b'+' if self.peek(1).is_ascii_digit() || self.peek(1) == b'.' => {
@@ -127,13 +127,21 @@ impl<'a> Scanner<'a> {
             .unwrap_or(rest.len());
     }
 
-    fn skip_to(&mut self, end: u8) {
-        let rest = &self.bytes[self.at..];
-        self.at += rest
-            .iter()
-            .position(|&byte| byte == end)
-            .map_or(rest.len(), |at| at + 1);
+    fn path(&mut self) -> Result<(), String> {
+        let inside = self.at + 1;
+        let length = self.text[inside..].find('>');
+        let path = length.map(|length| &self.text[inside..inside + length]);
+        let Some(path) = path.filter(|path| is_path(path)) else {
+            let line = self.line();
+            let read = path.unwrap_or(&self.text[inside..]).lines().next();
+            return Err(format!(
+                "line {line}: <{} is no path of a prim or property",
+                read.unwrap_or_default()
+            ));
+        };
+        self.at = inside + path.len() + 1;
         self.last = 0;
+        Ok(())
     }
 
     fn comment(&mut self) {
@@ -374,6 +382,25 @@ pub(super) fn is_identifier(name: &str) -> bool {
     name.starts_with(is_letter) && name.chars().all(|c| is_letter(c) || c.is_alphanumeric())
 }
 
+/// True for what may stand between `<` and `>`. The crate does not come to an end with some that may not.
+fn is_path(path: &str) -> bool {
+    let mut open = Vec::new();
+    let is_sound = path
+        .chars()
+        .all(|character| match (character, open.last()) {
+            ('{' | '[', _) => {
+                open.push(character);
+                true
+            }
+            ('}', Some('{')) | (']', Some('[')) => open.pop().is_some(),
+            ('\n' | '<' | '}' | ']', _) => false,
+            (_, Some(_)) | ('/' | '.' | ':' | '_', None) => true,
+            (other, None) => other.is_alphanumeric(),
+        });
+    let is_plain = path == "/" || !(path.ends_with('/') || path.contains("//"));
+    is_sound && open.is_empty() && is_plain
+}
+
 fn is_name(byte: u8) -> bool {
     byte.is_ascii_alphabetic() || byte == b'_' || !byte.is_ascii()
 }
@@ -476,6 +503,27 @@ mod tests {
             "over 'a' { variantSet \"v\" = { \"1-x\" { def \"b\" {} } } }",
         ] {
             assert_eq!(repaired(text), Ok(None), "{text}");
+        }
+    }
+
+    #[test]
+    fn paths_must_be_paths() {
+        for path in [
+            "</a b>", "</a\n>", "</a//b>", "</a/>", "</}>", "</a{v=x>", "</a", "< /a>", "</a\">",
+        ] {
+            let text = format!("def \"A\" (\n references = {path}\n) {{}}");
+            assert!(repaired(&text).unwrap_err().starts_with("line 2"), "{path}");
+        }
+        for path in [
+            "<>",
+            "</>",
+            "</a/b>",
+            "<../b.c:d>",
+            "<a{v=x-1}b.r[/t/u].w>",
+            "</größe.x>",
+            "<.x>",
+        ] {
+            assert_eq!(repaired(&format!("rel r = {path}")), Ok(None), "{path}");
         }
     }
 
