@@ -9,6 +9,7 @@ mod python;
 use program::{ROOM, files, json, run, stderr, surflux};
 use python::{python, run_python};
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -329,7 +330,7 @@ print(len(sys.argv) - 2)
     let arguments: Vec<String> = [schema].into_iter().chain(recipes.clone()).collect();
     let checked = run_python(CHECK, &arguments);
     assert_eq!(checked.trim(), recipes.len().to_string());
-    assert!(recipes.len() >= 4);
+    assert!(recipes.len() >= 5);
 }
 
 #[test]
@@ -375,6 +376,72 @@ fn the_recipe_of_a_shot_runs_as_it_is() {
     ] {
         assert!(made.iter().any(|file| file == name), "{name} in {made:?}");
     }
+}
+
+/// A room with a warm and a cold lamp, each in a collection of its own.
+const LAMPS: &str = r#"#usda 1.0
+(upAxis = "Y")
+def Mesh "floor" {
+    int[] faceVertexCounts = [4]
+    int[] faceVertexIndices = [0, 1, 2, 3]
+    point3f[] points = [(-1, 0, -1), (-1, 0, 1), (1, 0, 1), (1, 0, -1)]
+    uniform token subdivisionScheme = "none"
+}
+def SphereLight "fire" (prepend apiSchemas = ["CollectionAPI:warm"]) {
+    color3f inputs:color = (1, 0.5, 0)
+    float inputs:intensity = 10
+    float inputs:radius = 0.1
+    double3 xformOp:translate = (0.5, 1, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    rel collection:warm:includes = </fire>
+}
+def SphereLight "moon" (prepend apiSchemas = ["CollectionAPI:cold"]) {
+    color3f inputs:color = (0, 0.5, 1)
+    float inputs:intensity = 10
+    float inputs:radius = 0.1
+    double3 xformOp:translate = (-0.5, 1, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    rel collection:cold:includes = </moon>
+}
+"#;
+
+/// What each group adds to the red of the image, and all of it.
+fn reds(exr: &Path) -> BTreeMap<String, f64> {
+    let image = exr::prelude::read_first_flat_layer_from_file(exr).expect("an EXR");
+    let channels = image.layer_data.channel_data.list;
+    let reds = channels.iter().filter_map(|channel| {
+        let name = channel.name.to_string();
+        let values = channel.sample_data.values_as_f32();
+        let group = match name.strip_suffix("irradiance.R").is_some() {
+            true => "all",
+            false => name.strip_suffix(".R")?.strip_prefix("irradiance_")?,
+        };
+        Some((group.to_owned(), values.map(f64::from).sum()))
+    });
+    reds.collect()
+}
+
+#[test]
+fn the_recipe_of_light_groups_tells_lamps_apart() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let here = folder.path();
+    fs::write(here.join("shot.usda"), LAMPS).expect("writable");
+    let sets = [
+        ("shot", "shot.usda"),
+        ("groups", "warm,cold"),
+        ("tolerance", "0.2"),
+        ("bounces", "1"),
+        ("width", "24"),
+    ];
+    let report = cook_ready(here, "light_groups", &sets);
+    assert_eq!(report["tasks"].as_array().map(Vec::len), Some(3));
+    let made = files(&here.join("groups"));
+    let expected = ["shot.0001.exr", "shot.html", "shot.usdc", "shot_baked.usda"];
+    assert_eq!(made, expected);
+    let reds = reds(&here.join("groups/shot.0001.exr"));
+    assert_eq!(reds["cold"], 0.0, "{reds:?}");
+    assert!(reds["warm"] > 0.0, "{reds:?}");
+    assert!((reds["warm"] / reds["all"] - 1.0).abs() < 1e-3, "{reds:?}");
 }
 
 #[test]

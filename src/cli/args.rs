@@ -3,9 +3,14 @@
 use super::frames::Frames;
 use super::progress::ProgressMode;
 use super::run::RunArgs;
+use super::values::{
+    AxisName, BouncesArg, EngineName, ExrLayout, InstancesName, InterpolateName, InterpolationName,
+    JobName, LoadName, PurposeName, UsdDoor, bounces, cone_angle, falloff, fraction, not_negative,
+    positive, range,
+};
 use crate::pipeline::Falloff;
 use crate::stage::VariantChoice;
-use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgAction, Args, Parser, Subcommand};
 use std::path::PathBuf;
 
 /// Point-based global illumination for USD stages.
@@ -15,7 +20,9 @@ use std::path::PathBuf;
     version,
     about,
     max_term_width = 120,
-    after_help = "Every flag of a command is an environment variable too: --image-width is SURFLUX_IMAGE_WIDTH."
+    after_help = "Every flag of a command is an environment variable too: --image-width is SURFLUX_IMAGE_WIDTH. What is \
+    typed wins over variables, these over SurfluxBakeSettings of the stage, these over the --config file.\n\n\
+    Example:\n  surflux bake asset.usd -o bake/asset.usdc --aov occlusion"
 )]
 pub(super) struct Cli {
     #[command(subcommand)]
@@ -46,6 +53,17 @@ pub(super) enum Command {
         /// A folder that exists.
         folder: PathBuf,
     },
+}
+
+impl Command {
+    /// The habits of commands that run something.
+    pub(super) fn habits(&self) -> Option<&HabitArgs> {
+        match self {
+            Self::Job(command) => Some(&command.stage().habits),
+            Self::Run(args) => Some(&args.habits),
+            Self::Completions { .. } | Self::Man { .. } => None,
+        }
+    }
 }
 
 /// What is done with a stage.
@@ -94,7 +112,7 @@ pub(super) enum JobCommand {
     View(ViewArgs),
     /// Convert between USD and other formats: glTF ↔ USD, clouds ↔ PLY and .ptc, Gaussian splats ↔ PLY.
     #[command(
-        after_help = "Example:\n  surflux convert cloud.usdc cloud.ply\n  surflux convert scan.ply scan.usdc --up-axis Z\n  \
+        after_help = "Example:\n  surflux convert cloud.usdc cloud.ply\n  surflux convert scan.ply scan.usdc --up-axis z\n  \
         surflux convert asset.glb asset.usdc\n  surflux convert bake/asset_baked.usda asset.glb",
         mut_arg("stage", |file| file.index(1).value_name("IN").help("What to read: .usd, .usda, .usdc, .gltf, .glb, .ply or .ptc")),
         mut_arg("dome", |flag| flag.hide(true))
@@ -157,6 +175,22 @@ pub(super) struct StageArgs {
     /// Write messages to a file too.
     #[arg(long, value_name = "FILE")]
     pub(super) log_file: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) habits: HabitArgs,
+}
+
+/// Flags of every command that runs something.
+#[derive(Debug, Clone, Args)]
+pub(super) struct HabitArgs {
+    /// Messages, warnings and errors as JSON objects, one a line.
+    #[arg(long)]
+    pub(super) log_json: bool,
+    /// Settings that nothing else says (schemas/config.schema.json).
+    #[arg(long, value_name = "FILE.json")]
+    pub(super) config: Option<PathBuf>,
+    /// Tell every setting as resolved, and where it comes from, as JSON; compute nothing. --config takes what is told.
+    #[arg(long)]
+    pub(super) print_config: bool,
 }
 
 /// Flags of the commands that write.
@@ -173,9 +207,13 @@ pub(super) struct OutputArgs {
     pub(super) dry_run: bool,
 }
 
-/// Flags of the commands that tell about their run.
+/// Flags of the commands that light: what the stage says of their settings, what they tell about their run.
 #[derive(Debug, Args)]
 pub(super) struct AboutArgs {
+    /// The SurfluxBakeSettings prim that has a say in what no flag says; `none`: no prim has. Default: the one that the
+    /// stage's renderSettingsPrimPath names, else the first below /Render.
+    #[arg(long, value_name = "PATH|none")]
+    pub(super) settings: Option<String>,
     /// Write a page about the run: pictures with and without reflected light, settings, statistics, warnings, error.
     #[arg(long, value_name = "FILE.html")]
     pub(super) report: Option<PathBuf>,
@@ -254,7 +292,7 @@ pub(super) struct GatherArgs {
     #[arg(long, alias = "sources", value_name = "CLOUD")]
     pub(super) cloud: Vec<PathBuf>,
     /// Write what each cloud adds to `irradiance_indirect` and `diffuse_indirect`, called by its file, besides their sum.
-    #[arg(long, requires = "cloud")]
+    #[arg(long)]
     pub(super) split_clouds: bool,
 }
 
@@ -446,148 +484,6 @@ pub(super) struct ConvertArgs {
     /// List the outputs, do nothing.
     #[arg(long)]
     pub(super) dry_run: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum AxisName {
-    Y,
-    Z,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum UsdDoor {
-    Auto,
-    Native,
-    UsdCore,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum LoadName {
-    All,
-    None,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum JobName {
-    Points,
-    Bake,
-    Render,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum PurposeName {
-    Default,
-    Render,
-    Proxy,
-    Guide,
-}
-
-/// Whether receivers speak for others.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum InterpolateName {
-    /// Where it pays.
-    Auto,
-    /// Every receiver is gathered at.
-    Never,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum EngineName {
-    /// The cheapest that meets --tolerance, as a pilot on a few receivers measures; without it, rays.
-    Auto,
-    /// Rays against the scene, radiance read from the surfels at the hit.
-    Rays,
-    /// Occlusion, visibility, bent normals and light of the sky by depth maps that all receivers share, the rest by
-    /// rays: for dense meshes and whole pictures.
-    Maps,
-    /// Reflected light from clusters of surfels that neighbors share, rays between the two for what is hidden; what asks
-    /// which directions are open by rays.
-    Raster,
-    /// The published method: surfels and clusters rasterized onto a cube.
-    Paper,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum InterpolationName {
-    Vertex,
-    #[value(name = "faceVarying", alias = "face-varying")]
-    FaceVarying,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum InstancesName {
-    Shared,
-    Deinstance,
-    Skip,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum ExrLayout {
-    Single,
-    Multipart,
-}
-
-/// `--bounces`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum BouncesArg {
-    Count(u32),
-    Auto,
-}
-
-fn bounces(text: &str) -> Result<BouncesArg, String> {
-    if text == "auto" {
-        return Ok(BouncesArg::Auto);
-    }
-    (text.parse().map(BouncesArg::Count)).map_err(|_| "a number, or auto, is needed".to_owned())
-}
-
-fn falloff(text: &str) -> Result<Falloff, String> {
-    let (name, power) = text.split_once(':').unwrap_or((text, "2"));
-    match (name, positive(power)) {
-        ("none", _) if name == text => Ok(Falloff::None),
-        ("linear", _) if name == text => Ok(Falloff::Linear),
-        ("smooth", _) if name == text => Ok(Falloff::Smooth),
-        ("exponent", Ok(power)) => Ok(Falloff::Exponent(power)),
-        ("exponent", Err(wrong)) => Err(wrong),
-        _ => Err("none, linear, smooth, exponent or exponent:P is needed".to_owned()),
-    }
-}
-
-fn cone_angle(text: &str) -> Result<f32, String> {
-    match text.parse::<f32>() {
-        Ok(degrees) if degrees > 0.0 && degrees <= 90.0 => Ok(degrees),
-        _ => Err("degrees greater than 0, at most 90, are needed".to_owned()),
-    }
-}
-
-fn range(text: &str) -> Result<(f32, f32), String> {
-    let ends = text.split_once(':').and_then(|(low, high)| {
-        let (low, high) = (low.parse::<f32>().ok()?, high.parse::<f32>().ok()?);
-        (low < high && (high - low).is_finite()).then_some((low, high))
-    });
-    ends.ok_or_else(|| "two numbers, the lower first, are needed: 0:0.5".to_owned())
-}
-
-fn positive(text: &str) -> Result<f32, String> {
-    match text.parse::<f32>() {
-        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
-        _ => Err("a number greater than 0 is needed".to_owned()),
-    }
-}
-
-fn not_negative(text: &str) -> Result<f32, String> {
-    match text.parse::<f32>() {
-        Ok(value) if value >= 0.0 && value.is_finite() => Ok(value),
-        _ => Err("a number of 0 or more is needed".to_owned()),
-    }
-}
-
-/// A tolerance: below 1e-4 single precision and the surfels' spacing are what errs.
-fn fraction(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if (1e-4..1.0).contains(&value) => Ok(value),
-        _ => Err("a number from 0.0001 to below 1 is needed, 0.02 for 2 %".to_owned()),
-    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,12 @@
 //! Arguments as typed → a [`Job`] as meant.
 
 use super::args::{
-    AboutArgs, AxisName, BakeArgs, BouncesArg, ConvertArgs, EngineName, ExrLayout, GatherArgs,
-    InfoArgs, InstancesName, InterpolateName, InterpolationName, JobCommand, JobName, LoadName,
-    OutputArgs, PointsArgs, PurposeName, RenderArgs, StageArgs, SurfelArgs, UsdDoor, VerifyArgs,
-    ViewArgs,
+    AboutArgs, BakeArgs, ConvertArgs, GatherArgs, InfoArgs, JobCommand, OutputArgs, PointsArgs,
+    RenderArgs, StageArgs, SurfelArgs, VerifyArgs, ViewArgs,
+};
+use super::values::{
+    AxisName, BouncesArg, EngineName, ExrLayout, InstancesName, InterpolateName, InterpolationName,
+    JobName, LoadName, PurposeName, UsdDoor,
 };
 use crate::bake::BakeSettings;
 use crate::pipeline::{
@@ -33,6 +35,40 @@ impl JobCommand {
             Self::Convert(args) => &args.stage,
         }
     }
+
+    /// Which settings prim has a say: `None` for commands that ask none.
+    pub(super) fn settings(&self) -> Option<SettingsChoice<'_>> {
+        let about = match self {
+            Self::Points(args) => &args.about,
+            Self::Bake(args) => &args.about,
+            Self::Render(args) => &args.about,
+            Self::Info(_)
+            | Self::Validate(_)
+            | Self::Verify(_)
+            | Self::View(_)
+            | Self::Convert(_) => return None,
+        };
+        match about.settings.as_deref() {
+            Some("none") => None,
+            Some(path) => Some(SettingsChoice::At(path)),
+            None => Some(SettingsChoice::OfStage),
+        }
+    }
+}
+
+/// The prim whose settings count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum SettingsChoice<'a> {
+    /// The stage's own.
+    OfStage,
+    /// This one.
+    At(&'a str),
+}
+
+/// What is read, and how, where the settings are asked for before the job is known.
+pub(super) fn stage_of(command: &JobCommand) -> (&Path, Door, Composition) {
+    let args = command.stage();
+    (&args.stage, door(args.usd), composition(args))
 }
 
 /// The job that `command` means.
@@ -40,7 +76,7 @@ impl JobCommand {
 /// # Errors
 /// What a person typed wrong: unknown AOVs, missing outputs, wrong extensions.
 pub(super) fn from_args(command: JobCommand, command_line: &[String]) -> anyhow::Result<Job> {
-    Ok(match command {
+    let job = match command {
         JobCommand::Points(args) => Job::Points(points(args, command_line)?),
         JobCommand::Bake(args) => Job::Bake(bake(args, command_line)?),
         JobCommand::Render(args) => Job::Render(render(args, command_line)?),
@@ -49,34 +85,67 @@ pub(super) fn from_args(command: JobCommand, command_line: &[String]) -> anyhow:
         JobCommand::Verify(args) => Job::Verify(verify(args, command_line)?),
         JobCommand::View(args) => Job::View(view(args, command_line)?),
         JobCommand::Convert(args) => Job::Convert(convert(args, command_line)?),
-    })
+    };
+    not_over_itself(&job)?;
+    Ok(job)
+}
+
+/// An output that is what is read would be gone with what it was made of.
+fn not_over_itself(job: &Job) -> anyhow::Result<()> {
+    let (stage, output) = match job {
+        Job::Points(job) => (&job.stage, &job.output),
+        Job::Bake(job) => (&job.stage, &job.output),
+        Job::Convert(job) => (&job.stage, &job.output),
+        Job::Render(_) | Job::View(_) | Job::Info(_) | Job::Validate(_) | Job::Verify(_) => {
+            return Ok(());
+        }
+    };
+    let place = |path: &Path| path.canonicalize().ok();
+    if let Some(path) = &output.path
+        && place(path).is_some_and(|output| place(&stage.path) == Some(output))
+    {
+        bail!(
+            "{}: that is the file that is read (right: another name)",
+            path.display()
+        );
+    }
+    Ok(())
 }
 
 fn stage(args: StageArgs, command_line: &[String]) -> anyhow::Result<StageJob> {
     Ok(StageJob {
-        path: args.stage,
-        door: match args.usd {
-            UsdDoor::Auto => Door::Auto,
-            UsdDoor::Native => Door::Native,
-            UsdDoor::UsdCore => Door::UsdCore,
-        },
+        door: door(args.usd),
+        composition: composition(&args),
         frames: args.frames.map(|frames| frames.0).unwrap_or_default(),
         dome: args.dome.map(dome).transpose()?,
         emitters: Vec::new(),
         light_groups: Vec::new(),
         mask: args.mask,
-        composition: Composition {
-            load: match args.load {
-                LoadName::All => Load::All,
-                LoadName::None => Load::None,
-            },
-            variants: args.variant,
-            session_layer: args.session_layer,
-            muted_layers: args.mute_layer,
-        },
         purposes: args.purposes.into_iter().map(purpose).collect(),
+        settings: None,
         command: command_line.to_vec(),
+        path: args.stage,
     })
+}
+
+fn door(name: UsdDoor) -> Door {
+    match name {
+        UsdDoor::Auto => Door::Auto,
+        UsdDoor::Native => Door::Native,
+        UsdDoor::UsdCore => Door::UsdCore,
+    }
+}
+
+fn composition(args: &StageArgs) -> Composition {
+    Composition {
+        load: match args.load {
+            LoadName::All => Load::All,
+            LoadName::None => Load::None,
+        },
+        variants: args.variant.clone(),
+        session_layer: args.session_layer.clone(),
+        muted_layers: args.mute_layer.clone(),
+    }
 }
 
 /// The stage with what `gather` says of light: groups, and particles of clouds.
@@ -265,6 +334,9 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
         bail!(
             "--gather raster: it gathers from the stage's own surfels, which --cloud replaces (use rays or paper)"
         );
+    }
+    if args.split_clouds && args.cloud.is_empty() {
+        bail!("--split-clouds needs --cloud: clouds whose light is told apart");
     }
     if args.falloff != Falloff::None && args.max_distance.is_none() {
         bail!("--falloff needs --max-distance: where what covers has faded to nothing");

@@ -1,5 +1,6 @@
 //! What a run tells at its end.
 
+use super::log_sink;
 use crate::diagnostics::Warning;
 use crate::pipeline::Report;
 use std::collections::BTreeMap;
@@ -15,7 +16,7 @@ pub(super) fn report(report: &Report, json: bool, quiet: bool) -> anyhow::Result
     if quiet {
         return Ok(());
     }
-    if !json {
+    if !json && log_sink::is_for_people() {
         summary(report);
     }
     warnings(&report.warnings);
@@ -90,12 +91,17 @@ fn sizes(report: &Report) -> Option<String> {
     })
 }
 
-/// `warnings` grouped by kind on stderr.
+/// `warnings` to the log, each; grouped by kind on stderr where people read.
 pub(super) fn warnings(warnings: &[Warning]) {
     let mut kinds: BTreeMap<&str, Vec<&Warning>> = BTreeMap::new();
     for warning in warnings {
-        log::debug!("{}: {}: {}", warning.kind, warning.prim, warning.message);
+        if let Ok(line) = serde_json::to_string(warning) {
+            log::warn!(target: log_sink::WARNING, "{line}");
+        }
         kinds.entry(&warning.kind).or_default().push(warning);
+    }
+    if !log_sink::is_for_people() {
+        return;
     }
     for (kind, group) in kinds {
         eprintln!("warning: {kind} ({})", group.len());

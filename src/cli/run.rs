@@ -1,7 +1,9 @@
 //! `surflux run`: what is heard of a recipe while it runs, and its end.
 
+use super::args::HabitArgs;
 use super::frames::Frames;
-use crate::diagnostics::{CancelToken, Diagnostics, Silent};
+use super::log_sink::{self, LogSettings};
+use crate::diagnostics::{Diagnostics, Silent};
 use crate::recipes::{self, RecipeError, RunRecipeJob, State, TaskReport};
 use anyhow::Context;
 use clap::Args;
@@ -46,20 +48,33 @@ pub(super) struct RunArgs {
     /// Errors only.
     #[arg(short, long)]
     quiet: bool,
+    #[command(flatten)]
+    pub(super) habits: HabitArgs,
+}
+
+impl RunArgs {
+    /// Begin to log.
+    pub(super) fn log(&self, habits: &HabitArgs) -> anyhow::Result<()> {
+        log_sink::install(&LogSettings {
+            quiet: self.quiet,
+            is_json: habits.log_json || self.habits.log_json,
+            ..LogSettings::default()
+        })
+    }
 }
 
 /// Run a recipe with all its steps.
 pub(super) fn run(args: RunArgs) -> anyhow::Result<()> {
-    let cancel = CancelToken::default();
-    super::cancel_on_signal(&cancel)?;
-    let diagnostics = Diagnostics::new(Box::new(Silent), cancel);
+    let diagnostics = Diagnostics::new(Box::new(Silent), super::cancel_on_signal()?);
     let frames = |text: &str| -> Result<Vec<f64>, String> {
         let frames: Frames = text.parse().map_err(|error| format!("{error}"))?;
         Ok(frames.0)
     };
     let (json, quiet) = (args.json, args.quiet);
     let mut tell = |task: &TaskReport| {
-        if !quiet {
+        if !log_sink::is_for_people() {
+            log::warn!("{}", line(task));
+        } else if !quiet {
             // A closed terminal ends nothing that is under way.
             let _ = writeln!(std::io::stderr(), "{}", line(task));
         }
@@ -67,7 +82,7 @@ pub(super) fn run(args: RunArgs) -> anyhow::Result<()> {
     let report = recipes::run(&job(args)?, &frames, &mut tell, &diagnostics)?;
     if json {
         println!("{}", serde_json::to_string_pretty(&report)?);
-    } else if !quiet {
+    } else if !quiet && log_sink::is_for_people() {
         let count = |state| report.count(state);
         let parts = [
             (count(State::Due), "would be run"),
@@ -104,6 +119,9 @@ fn job(args: RunArgs) -> anyhow::Result<RunRecipeJob> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let program = std::env::current_exe().context("where this program lies is not known")?;
     Ok(RunRecipeJob {
+        command: std::env::args_os()
+            .map(|word| word.to_string_lossy().into_owned())
+            .collect(),
         recipe: args.recipe,
         sets: args.set,
         manifest,

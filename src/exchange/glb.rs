@@ -9,6 +9,7 @@ use crate::diagnostics::Diagnostics;
 use crate::scene::{
     Input, Interpolation, Material, MaterialId, Mesh, Prim, Primvar, Scene, UpAxis,
 };
+use crate::writers::usd::Provenance;
 use crate::writers::write_whole;
 use glam::{Affine3A, Mat3, Quat, Vec2, Vec3, Vec4};
 use serde_json::{Value, json};
@@ -29,9 +30,15 @@ const SKEW: f32 = 1e-4;
 ///
 /// # Errors
 /// Scenes of more than 4 GiB, which GLB cannot hold; files that cannot be written. Nothing is left behind then.
-pub fn write(scene: &Scene, path: &Path, diagnostics: &Diagnostics) -> Result<(), Error> {
+pub fn write(
+    scene: &Scene,
+    path: &Path,
+    provenance: &Provenance,
+    diagnostics: &Diagnostics,
+) -> Result<(), Error> {
     let mut file = File {
         scene,
+        provenance,
         diagnostics,
         bytes: Vec::new(),
         views: Vec::new(),
@@ -73,6 +80,7 @@ pub fn write(scene: &Scene, path: &Path, diagnostics: &Diagnostics) -> Result<()
 /// The file being made.
 struct File<'a> {
     scene: &'a Scene,
+    provenance: &'a Provenance,
     diagnostics: &'a Diagnostics,
     bytes: Vec<u8>,
     views: Vec<Value>,
@@ -340,7 +348,11 @@ impl File<'_> {
             .collect();
         let root = nodes.len() - 1;
         let mut value = json!({
-            "asset": { "version": "2.0", "generator": concat!("surflux ", env!("CARGO_PKG_VERSION")) },
+            "asset": {
+                "version": "2.0",
+                "generator": self.provenance.program(),
+                "extras": { "command": self.provenance.words() },
+            },
             "scene": 0,
             "scenes": [{ "nodes": [root] }],
             "nodes": nodes,

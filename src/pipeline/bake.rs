@@ -6,18 +6,22 @@ use super::job::{BakeJob, BakeView};
 use super::report::{Report, peak_memory_bytes, timed};
 use super::view::camera;
 use super::world::{Needs, World, with_world};
-use super::{Error, gather, outputs, provenance, shots};
+use super::{Error, gather, outputs, provenance, shots, source_of};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::{Receivers, primvar};
 use crate::results::{Aov, Results, Target};
 use crate::scene::camera::Projection;
 use crate::scene::{PrimId, Scene};
-use crate::stage;
+use crate::stage::Source;
 use crate::writers::usd::layer::{BakeOptions, LayerWriter};
 use glam::{DVec3, Vec3};
 use std::path::{Path, PathBuf};
 
-pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
+pub(super) fn run(
+    job: &BakeJob,
+    opened: Option<Box<dyn Source>>,
+    diagnostics: &Diagnostics,
+) -> Result<Report, Error> {
     let mut report = Report::new(&job.stage.command);
     let path = job.output.path.as_deref();
     let path = path.unwrap_or_else(|| Path::new("bake.usdc"));
@@ -28,8 +32,7 @@ pub(super) fn run(job: &BakeJob, diagnostics: &Diagnostics) -> Result<Report, Er
         return Ok(report);
     }
     record(&job.gather, &job.gather.aovs, &mut report);
-    let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
-    source.expect_loads(job.stage.times().len());
+    let mut source = source_of(&job.stage, opened, diagnostics)?;
     let needs = match job.view {
         Some(_) => Needs::of_seen(&job.gather.aovs),
         None => Needs::of(&job.gather.aovs),

@@ -180,7 +180,9 @@ fn write(
     let provenance = provenance(&job.stage);
     let ending = ending(output);
     match (read, ending.as_str()) {
-        (Read::Points(set, about), "ply") => ply::write(&set, &about, output, job.encoding)?,
+        (Read::Points(set, about), "ply") => {
+            ply::write(&set, &about, output, job.encoding, &provenance)?;
+        }
         (Read::Points(set, _), "ptc") => ptc::write(&set, output, diagnostics)?,
         (Read::Points(set, about), "usdc" | "usda" | "usd") if job.display_mesh => {
             usd::points::write_display_mesh(&set, &about, &provenance, output)?;
@@ -188,11 +190,11 @@ fn write(
         (Read::Points(set, about), "usdc" | "usda" | "usd") => {
             usd::points::write(set, &about, &provenance, output)?;
         }
-        (Read::Splats(splats, _), "ply") => ply::splats::write(&splats, output)?,
+        (Read::Splats(splats, _), "ply") => ply::splats::write(&splats, output, &provenance)?,
         (Read::Splats(splats, about), "usdc" | "usda" | "usd") => {
             usd::splats::write(splats, &about, &provenance, output)?;
         }
-        (Read::Scene(scene), "glb") => glb::write(&scene, output, diagnostics)?,
+        (Read::Scene(scene), "glb") => glb::write(&scene, output, &provenance, diagnostics)?,
         _ => return Err(no_way(job)),
     }
     Ok(())

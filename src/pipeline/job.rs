@@ -32,6 +32,8 @@ pub struct StageJob {
     pub composition: Composition,
     /// Purposes besides `default`.
     pub purposes: Vec<Purpose>,
+    /// The SurfluxBakeSettings prim that had a say in the job; `None` = the stage's own render settings count.
+    pub settings: Option<String>,
     /// The command line, stored in outputs and statistics.
     pub command: Vec<String>,
 }
@@ -380,4 +382,20 @@ pub enum Job {
     View(ViewJob),
     /// Convert.
     Convert(ConvertJob),
+}
+
+impl Job {
+    /// The stage of jobs that light one.
+    pub fn lit_stage_mut(&mut self) -> Option<&mut StageJob> {
+        match self {
+            Self::Points(job) => Some(&mut job.stage),
+            Self::Bake(job) => Some(&mut job.stage),
+            Self::Render(job) => Some(&mut job.stage),
+            Self::Info(_)
+            | Self::Validate(_)
+            | Self::Verify(_)
+            | Self::View(_)
+            | Self::Convert(_) => None,
+        }
+    }
 }

@@ -44,7 +44,8 @@ pub use validate::{CheckSummary, ValidationReport, validate};
 pub use verify::verify;
 
 use crate::diagnostics::{Cancelled, Diagnostics};
-use crate::writers::image::thumbnail;
+use crate::stage::{self, Source};
+use crate::writers::image::{annotated, thumbnail};
 use crate::writers::write_whole;
 use std::path::{Path, PathBuf};
 
@@ -54,7 +55,7 @@ use std::path::{Path, PathBuf};
 pub enum Error {
     /// The stage could not be read.
     #[error(transparent)]
-    Stage(#[from] crate::stage::Error),
+    Stage(#[from] stage::Error),
     /// A USD file could not be written.
     #[error(transparent)]
     WriteUsd(#[from] crate::writers::usd::Error),
@@ -157,17 +158,29 @@ pub enum Error {
 /// # Errors
 /// The first thing that went wrong; files already complete stay, nothing partial does.
 pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
+    run_opened(job, None, diagnostics)
+}
+
+/// [`run`] with the job's stage, if it is open already.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_opened(
+    job: &Job,
+    opened: Option<Box<dyn Source>>,
+    diagnostics: &Diagnostics,
+) -> Result<Report, Error> {
     let start = std::time::Instant::now();
     if let Some((_, output)) = told(job) {
         outputs::check(output, output.report.as_slice())?;
     }
     let done = match job {
-        Job::Points(job) => points::run(job, diagnostics),
+        Job::Points(job) => points::run(job, opened, diagnostics),
         Job::Bake(job) => match &job.positions {
-            Some(path) => positions::run(job, path, diagnostics),
-            None => bake::run(job, diagnostics),
+            Some(path) => positions::run((job, path), opened, diagnostics),
+            None => bake::run(job, opened, diagnostics),
         },
-        Job::Render(job) => render::run(job, diagnostics),
+        Job::Render(job) => render::run(job, opened, diagnostics),
         Job::View(job) => show::run(job, diagnostics),
         Job::Convert(job) => convert::run(job, diagnostics),
         Job::Info(InfoJob { stage, .. })
@@ -193,6 +206,20 @@ pub fn run(job: &Job, diagnostics: &Diagnostics) -> Result<Report, Error> {
     Ok(report)
 }
 
+/// `opened`, or the stage of `job` opened, for reading at all its times.
+fn source_of(
+    job: &StageJob,
+    opened: Option<Box<dyn Source>>,
+    diagnostics: &Diagnostics,
+) -> Result<Box<dyn Source>, Error> {
+    let mut source = match opened {
+        Some(source) => source,
+        None => stage::open(&job.path, job.door, diagnostics)?,
+    };
+    source.expect_loads(job.times().len());
+    Ok(source)
+}
+
 /// The stage and the outputs of jobs that have pages and thumbnails.
 fn told(job: &Job) -> Option<(&StageJob, &OutputJob)> {
     match job {
@@ -216,7 +243,10 @@ fn tell(stage: &StageJob, output: &OutputJob, report: &mut Report) -> Result<(),
         if !output.dry_run {
             outputs::check(output, std::slice::from_ref(&path))?;
             if let Some(shot) = report.shots.first() {
-                write(&path, &thumbnail(&shot.png, THUMBNAIL_WIDTH))?;
+                let about = provenance(stage);
+                let png = thumbnail(&shot.png, THUMBNAIL_WIDTH);
+                let (program, words) = (about.program(), about.words());
+                write(&path, &annotated(png, &made_by(&program, &words)))?;
             }
         }
         report.outputs.push(path);
@@ -233,6 +263,11 @@ fn tell(stage: &StageJob, output: &OutputJob, report: &mut Report) -> Result<(),
 
 /// Pixels across.
 const THUMBNAIL_WIDTH: u32 = 256;
+
+/// What a picture tells of itself.
+fn made_by<'a>(program: &'a str, words: &'a str) -> [(&'static str, &'a str); 2] {
+    [("Software", program), ("Comment", words)]
+}
 
 /// Where an output of `job` comes from, as written into it.
 fn provenance(job: &StageJob) -> crate::writers::usd::Provenance {

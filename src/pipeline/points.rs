@@ -4,13 +4,17 @@ use super::gather::dice;
 use super::job::PointsJob;
 use super::report::{Report, peak_memory_bytes, timed};
 use super::world::{Needs, with_world};
-use super::{Error, outputs, provenance, shots};
+use super::{Error, outputs, provenance, shots, source_of};
 use crate::diagnostics::Diagnostics;
-use crate::stage;
+use crate::stage::Source;
 use crate::writers::usd::cloud::{CloudOptions, write};
 use std::path::Path;
 
-pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
+pub(super) fn run(
+    job: &PointsJob,
+    opened: Option<Box<dyn Source>>,
+    diagnostics: &Diagnostics,
+) -> Result<Report, Error> {
     let mut report = Report::new(&job.stage.command);
     let pattern = job
         .output
@@ -28,8 +32,7 @@ pub(super) fn run(job: &PointsJob, diagnostics: &Diagnostics) -> Result<Report, 
     if job.output.dry_run {
         return Ok(report);
     }
-    let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
-    source.expect_loads(job.stage.times().len());
+    let mut source = source_of(&job.stage, opened, diagnostics)?;
     for (time, path) in &frames {
         with_world(
             source.as_mut(),

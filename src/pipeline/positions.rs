@@ -5,11 +5,11 @@ use super::groups::gather_parts;
 use super::job::BakeJob;
 use super::report::{Report, peak_memory_bytes, timed};
 use super::world::{Needs, World, with_world};
-use super::{Error, outputs, provenance};
+use super::{Error, outputs, provenance, source_of};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::points::place;
 use crate::results::{Aov, AovBuffer, Results, ValueType, name_of_group};
-use crate::stage::{self, cloud};
+use crate::stage::{Source, cloud};
 use crate::surfels::points::{Column, ColumnValues, PointSet, VectorKind};
 use crate::writers::usd::points::write;
 use glam::Vec3;
@@ -20,8 +20,8 @@ use std::path::Path;
 /// # Errors
 /// Whatever reading, gathering and writing report; points without normals.
 pub(super) fn run(
-    job: &BakeJob,
-    positions: &Path,
+    (job, positions): (&BakeJob, &Path),
+    opened: Option<Box<dyn Source>>,
     diagnostics: &Diagnostics,
 ) -> Result<Report, Error> {
     let mut report = Report::new(&job.stage.command);
@@ -36,8 +36,7 @@ pub(super) fn run(
         return Ok(report);
     }
     record(&job.gather, &job.gather.aovs, &mut report);
-    let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
-    source.expect_loads(frames.len());
+    let mut source = source_of(&job.stage, opened, diagnostics)?;
     for (time, path) in &frames {
         let (points, about) =
             cloud::read_points(&outputs::frame_path(positions, *time), diagnostics)?;

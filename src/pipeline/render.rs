@@ -6,20 +6,24 @@ use super::job::RenderJob;
 use super::report::{Report, peak_memory_bytes, timed};
 use super::view::{View, views};
 use super::world::{Needs, World, with_world};
-use super::{Error, gather, outputs, shots};
+use super::{Error, gather, made_by, outputs, provenance, shots, source_of};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::lens::Lens;
 use crate::receivers::sampling::Sampling;
 use crate::receivers::{Receivers, camera};
 use crate::results::{Aov, AovImage, resolve};
-use crate::stage;
+use crate::stage::Source;
 use crate::trace::Layer;
 use crate::writers::image::{ExrInfo, ExrLayout, write_exr, write_png};
 use glam::{Vec3, Vec4};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, Error> {
+pub(super) fn run(
+    job: &RenderJob,
+    opened: Option<Box<dyn Source>>,
+    diagnostics: &Diagnostics,
+) -> Result<Report, Error> {
     let mut report = Report::new(&job.stage.command);
     let times = job.stage.times();
     if let Some(pattern) = &job.output.path {
@@ -33,8 +37,7 @@ pub(super) fn run(job: &RenderJob, diagnostics: &Diagnostics) -> Result<Report, 
             return Ok(report);
         }
     }
-    let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
-    source.expect_loads(job.stage.times().len());
+    let mut source = source_of(&job.stage, opened, diagnostics)?;
     // Without --aov the stage's render settings decide, and they are known only after reading.
     let needs = if job.gather.aovs.is_empty() {
         Needs::ALL
@@ -173,7 +176,8 @@ fn write(
             .iter()
             .find(|image| image.aov == Aov::Color)
             .unwrap_or(&images[0]);
-        write_png(png, shown)?;
+        let about = provenance(&job.stage);
+        write_png(png, shown, &made_by(&about.program(), &about.words()))?;
     }
     Ok(())
 }

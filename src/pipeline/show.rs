@@ -2,13 +2,14 @@
 
 use super::report::{Report, timed};
 use super::world::{Needs, read_settings};
-use super::{Error, StageJob, ViewJob, outputs, view};
+use super::{Error, StageJob, ViewJob, made_by, outputs, provenance, view};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::camera::camera_around;
 use crate::scene::Camera;
 use crate::stage::cloud::{self, Found};
 use crate::stage::{self, ReadSettings};
 use crate::view::{Channel, PictureSettings, Subject, page, picture};
+use crate::writers::image::annotated;
 use crate::writers::write_whole;
 use std::path::Path;
 
@@ -52,11 +53,18 @@ pub(super) fn run(job: &ViewJob, diagnostics: &Diagnostics) -> Result<Report, Er
     let is_page = output
         .extension()
         .is_some_and(|extension| extension == "html");
+    let about = provenance(&job.stage);
     timed(&mut report.seconds.write, || {
         let _phase = diagnostics.phase("write", "file", 0);
         let bytes = match is_page {
-            true => page(&subject, &channel.name, camera.as_ref()).into_bytes(),
-            false => picture_of(job, &subject, channel, camera),
+            true => {
+                let made = format!("{}: {}", about.program(), about.words());
+                page(&subject, &channel.name, camera.as_ref(), &made).into_bytes()
+            }
+            false => {
+                let png = picture_of(job, &subject, channel, camera);
+                annotated(png, &made_by(&about.program(), &about.words()))
+            }
         };
         write_whole(&output, &bytes)
     })

@@ -11,6 +11,8 @@ use std::path::PathBuf;
 pub struct ValidationReport {
     /// Version of surflux.
     pub surflux: &'static str,
+    /// The command line.
+    pub command: Vec<String>,
     /// The file as given.
     pub file: PathBuf,
     /// `cloud` or `bake`.
@@ -69,6 +71,7 @@ pub fn validate(job: &StageJob, diagnostics: &Diagnostics) -> Result<ValidationR
     });
     Ok(ValidationReport {
         surflux: env!("CARGO_PKG_VERSION"),
+        command: job.command.clone(),
         file: job.path.clone(),
         kind: found.kind,
         layer: found.layer.clone(),

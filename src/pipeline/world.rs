@@ -69,6 +69,7 @@ pub(super) fn read_settings(job: &StageJob, time: Option<f64>, needs: Needs) -> 
         materials: needs.materials,
         opacity: needs.opacity,
         lights: needs.lights,
+        render_settings: job.settings.clone(),
         ..ReadSettings::default()
     }
 }

@@ -14,6 +14,8 @@ use std::time::{Duration, Instant};
 /// What to run, and how.
 #[derive(Debug, Clone)]
 pub struct RunRecipeJob {
+    /// The command line, told with what was done.
+    pub command: Vec<String>,
     /// The recipe.
     pub recipe: PathBuf,
     /// Values that replace its settings.
@@ -80,6 +82,8 @@ pub struct TaskReport {
 pub struct RunReport {
     /// Version.
     pub surflux: &'static str,
+    /// The command line.
+    pub command: Vec<String>,
     /// The recipe.
     pub recipe: PathBuf,
     /// In order.
@@ -118,6 +122,7 @@ pub fn run(
     let tasks = kitchen.run(tell, diagnostics)?;
     Ok(RunReport {
         surflux: env!("CARGO_PKG_VERSION"),
+        command: job.command.clone(),
         recipe: job.recipe.clone(),
         tasks,
         seconds: start.elapsed().as_secs_f64(),

@@ -2,6 +2,7 @@
 //! [`raw::RawStage`] of composed prims and resolved values, then the same passes for both.
 
 pub mod attributes;
+pub mod bake_settings;
 pub mod cloud;
 mod composition;
 pub mod materialx;
@@ -169,6 +170,8 @@ pub struct ReadSettings {
     pub all_primvars: bool,
     /// Longest edge a refined subdivision face should have, stage units; `None` = chosen from the scene's size.
     pub refine_edge: Option<f32>,
+    /// The render settings prim to take instead of the one that the stage names.
+    pub render_settings: Option<String>,
 }
 
 impl Default for ReadSettings {
@@ -183,6 +186,7 @@ impl Default for ReadSettings {
             lights: true,
             all_primvars: false,
             refine_edge: None,
+            render_settings: None,
         }
     }
 }
@@ -209,7 +213,10 @@ pub fn compose(
     settings: &ReadSettings,
     diagnostics: &Diagnostics,
 ) -> Result<RawStage, Error> {
-    let raw = source.load(&Request::for_settings(settings), diagnostics)?;
+    let mut raw = source.load(&Request::for_settings(settings), diagnostics)?;
+    if let Some(chosen) = &settings.render_settings {
+        raw.meta.render_settings_prim_path = Some(chosen.clone());
+    }
     let raw = match settings.materials || settings.opacity {
         true => materialx::graft(raw, diagnostics),
         false => raw,

@@ -21,8 +21,8 @@ const PROGRAM: &str = include_str!("page.js");
 const LARGEST_HALF: f32 = 32_768.0;
 
 /// The page as HTML; it opens with `first` in view, beside light without reflections where there are both, through
-/// `camera` if one was asked for.
-pub fn page(subject: &Subject, first: &str, camera: Option<&Camera>) -> String {
+/// `camera` if one was asked for. `made` tells what made it: it is shown at the title.
+pub fn page(subject: &Subject, first: &str, camera: Option<&Camera>, made: &str) -> String {
     let mut data = Data::default();
     let about = about(subject, &mut data, first, camera);
     // a script ends at the first "</", wherever it stands
@@ -30,7 +30,7 @@ pub fn page(subject: &Subject, first: &str, camera: Option<&Camera>) -> String {
     let body = html! {
         canvas id="canvas" {}
         div id="panel" {
-            b { (subject.title) }
+            b title=(made) { (subject.title) }
             span id="counts" {}
             label { "shown " select id="left" {} }
             label { "beside " select id="right" {} }
@@ -271,7 +271,7 @@ mod tests {
             owners: Vec::new(),
             owner_paths: vec!["/a</script>".to_owned()],
         };
-        let page = page(&subject, "", None);
+        let page = page(&subject, "", None, "surflux 1");
         assert_eq!(page.matches("</script>").count(), 3);
         assert!(!page.contains("<b><"));
     }

@@ -8,6 +8,7 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 const REQUIREMENTS: &str = include_str!("../requirements.txt");
+const TOOLS: &str = include_str!("../requirements-tools.txt");
 
 /// A Python that has everything in `tests/requirements.txt`.
 ///
@@ -38,6 +39,30 @@ pub(crate) fn run_python<A: AsRef<OsStr>>(script: &str, args: &[A]) -> String {
         String::from_utf8_lossy(&output.stderr)
     );
     stdout
+}
+
+/// A folder for `PYTHONPATH` that has everything in `tests/requirements-tools.txt`; made once, below `target/`.
+#[allow(dead_code, reason = "few tests make schemas and wheels")]
+pub(crate) fn tools() -> PathBuf {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = root.join("target").join("test-tools");
+    let python = python();
+    let lock = File::create(root.join("target/test-tools.lock")).expect("the lock can be made");
+    lock.lock().expect("the lock can be taken");
+    let marker = folder.join("complete.txt");
+    if fs::read_to_string(&marker).is_ok_and(|made_from| made_from == TOOLS) {
+        return folder;
+    }
+    if folder.exists() {
+        fs::remove_dir_all(&folder).expect("old tools can be removed");
+    }
+    run(Command::new(python)
+        .args(["-m", "pip", "install", "--quiet", "--target"])
+        .arg(&folder)
+        .arg("-r")
+        .arg(root.join("tests/requirements-tools.txt")));
+    fs::write(&marker, TOOLS).expect("the marker can be written");
+    folder
 }
 
 fn environment(target: &Path) -> PathBuf {

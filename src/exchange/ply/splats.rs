@@ -9,8 +9,10 @@
 
 use super::header::Header;
 use super::table::Table;
+use super::write::made_by;
 use crate::exchange::{Error, malformed, read_file};
 use crate::surfels::splats::Splats;
+use crate::writers::usd::Provenance;
 use crate::writers::write_streamed;
 use glam::{Quat, Vec3};
 use std::path::Path;
@@ -133,7 +135,7 @@ fn check(splats: &Splats) -> Result<(), String> {
 ///
 /// # Errors
 /// When the file cannot be written; nothing is left behind then.
-pub fn write(splats: &Splats, path: &Path) -> Result<(), Error> {
+pub fn write(splats: &Splats, path: &Path, provenance: &Provenance) -> Result<(), Error> {
     let rest = 3 * (splats.width() - 1);
     let fixed = [
         "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2",
@@ -149,7 +151,8 @@ pub fn write(splats: &Splats, path: &Path) -> Result<(), Error> {
         .chain(last.map(str::to_owned))
         .map(|name| format!("property float {name}\n"));
     let header = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{}end_header\n",
+        "ply\nformat binary_little_endian 1.0\n{}element vertex {}\n{}end_header\n",
+        made_by(provenance),
         splats.len(),
         names.collect::<String>()
     );

@@ -5,6 +5,7 @@ use crate::exchange::Error;
 use crate::exchange::srgb::Srgb;
 use crate::scene::{StageInfo, UpAxis};
 use crate::surfels::points::{ColumnValues, PointSet, VectorKind};
+use crate::writers::usd::Provenance;
 use crate::writers::write_streamed;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -56,9 +57,10 @@ pub fn write(
     stage: &StageInfo,
     path: &Path,
     encoding: Encoding,
+    provenance: &Provenance,
 ) -> Result<(), Error> {
     let fields = fields(points);
-    let header = header(&fields, points.len(), stage, encoding);
+    let header = header(&fields, points.len(), stage, (encoding, provenance));
     let written = write_streamed(path, |out| {
         out.write_all(header.as_bytes())?;
         rows(&fields, points.len(), encoding, out)
@@ -113,7 +115,18 @@ fn fields(points: &PointSet) -> Vec<Field<'_>> {
     fields
 }
 
-fn header(fields: &[Field<'_>], count: usize, stage: &StageInfo, encoding: Encoding) -> String {
+/// Comments that say where the file comes from.
+pub(super) fn made_by(provenance: &Provenance) -> String {
+    let (program, words) = (provenance.program(), provenance.words());
+    format!("comment made by {program}\ncomment command {words}\n")
+}
+
+fn header(
+    fields: &[Field<'_>],
+    count: usize,
+    stage: &StageInfo,
+    (encoding, provenance): (Encoding, &Provenance),
+) -> String {
     let format = match encoding {
         Encoding::Binary => "binary_little_endian",
         Encoding::BinaryBig => "binary_big_endian",
@@ -124,7 +137,8 @@ fn header(fields: &[Field<'_>], count: usize, stage: &StageInfo, encoding: Encod
         UpAxis::Z => "Z",
     };
     let mut text = format!(
-        "ply\nformat {format} 1.0\ncomment {ABOUT}{axis} metersPerUnit {}\nelement vertex {count}\n",
+        "ply\nformat {format} 1.0\n{}comment {ABOUT}{axis} metersPerUnit {}\nelement vertex {count}\n",
+        made_by(provenance),
         stage.meters_per_unit
     );
     for field in fields {

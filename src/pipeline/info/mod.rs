@@ -24,6 +24,8 @@ use std::path::PathBuf;
 pub struct StageSummary {
     /// Version of surflux.
     pub surflux: &'static str,
+    /// The command line.
+    pub command: Vec<String>,
     /// Root layer as given.
     pub stage: String,
     /// `native` or `usd-core`.
@@ -164,6 +166,7 @@ pub fn info(job: &InfoJob, diagnostics: &Diagnostics) -> Result<StageSummary, Er
     let (scene, triangles) = stage::passes::outline(&raw, &settings, diagnostics)?;
     drop(phase);
     let mut summary = summarize(&scene);
+    summary.command.clone_from(&job.command);
     summary.geometry.triangles = triangles;
     summary.tree = tree::of(&raw);
     summary.animation = tree::animation(&raw);
@@ -219,6 +222,7 @@ fn summarize(scene: &Scene) -> StageSummary {
     let corner = |p: glam::Vec3| (scene.origin + p.as_dvec3()).to_array();
     StageSummary {
         surflux: env!("CARGO_PKG_VERSION"),
+        command: Vec::new(),
         stage: stage.path.display().to_string(),
         usd: stage.reader.clone(),
         up_axis: format!("{:?}", stage.up_axis),

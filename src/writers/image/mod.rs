@@ -3,9 +3,11 @@
 pub mod exr;
 mod exr_header;
 pub mod png;
+mod png_text;
 
 pub use exr::{ExrInfo, ExrLayout, write_exr};
 pub use png::{png_of_rgb, png_to_look_at, thumbnail, write_png};
+pub use png_text::annotated;
 
 use std::path::{Path, PathBuf};
 

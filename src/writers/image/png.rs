@@ -6,6 +6,7 @@
 //! `0.5 n + 0.5` without encoding, positions 0…1 over their bounds; ids get distinct colors. Of harmonics the first
 //! coefficient is shown, white where all is open.
 
+use super::png_text::annotated;
 use super::{Error, write_whole};
 use crate::math::srgb;
 use crate::results::resolve::FAR_DEPTH;
@@ -22,11 +23,11 @@ const MOST_EXPOSURE: f32 = 1024.0;
 /// Coefficient (0,0) of a function that is 1 over a hemisphere: 2π · √(1/4π).
 const OPEN_HARMONIC: f32 = 1.772_453_9;
 
-/// Write `image` as an 8-bit PNG `path`, under a temporary name first.
+/// Write `image` as an 8-bit PNG `path` with `texts` ([`annotated`]), under a temporary name first.
 ///
 /// # Errors
 /// If it has no pixels or the file cannot be written; nothing is left behind then.
-pub fn write_png(path: &Path, image: &AovImage) -> Result<(), Error> {
+pub fn write_png(path: &Path, image: &AovImage, texts: &[(&str, &str)]) -> Result<(), Error> {
     let color = match image.aov.value_type() {
         ValueType::Float | ValueType::Harmonics => ExtendedColorType::L8,
         _ => ExtendedColorType::Rgb8,
@@ -38,7 +39,7 @@ pub fn write_png(path: &Path, image: &AovImage) -> Result<(), Error> {
             path: path.to_owned(),
             source,
         })?;
-    write_whole(path, &bytes)
+    write_whole(path, &annotated(bytes, texts))
 }
 
 /// 8-bit sRGB pixels, rows from the top, as a PNG in memory; empty if `rgb` is not `width · height · 3` bytes.
@@ -274,7 +275,8 @@ mod tests {
     fn a_written_file_reads_back() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("n.png");
-        write_png(&path, &image(Aov::Normal, &[0.0, 0.0, 1.0, 1.0, 0.0, 0.0])).unwrap();
+        let normals = image(Aov::Normal, &[0.0, 0.0, 1.0, 1.0, 0.0, 0.0]);
+        write_png(&path, &normals, &[("Software", "surflux")]).unwrap();
         let read = ::image::open(&path).unwrap().to_rgb8();
         assert_eq!(read.dimensions(), (2, 1));
         assert_eq!(read.into_raw(), [128, 128, 255, 255, 128, 128]);

@@ -7,7 +7,7 @@
 //! is itself stronger than its descendants.
 
 use super::opinions::{Declaration, Opinions};
-use super::{Error, save};
+use super::{Error, Provenance, save};
 use crate::scene::{StageInfo, UpAxis};
 use openusd::gf;
 use openusd::sdf::{FieldKey, Path as SdfPath, PathListOp, SpecType, TokenListOp, Value};
@@ -15,15 +15,22 @@ use openusd::tf::Token;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Component, Path, PathBuf};
 
-/// Write `DIR/NAME_baked.usda` for the bake at `bake` = `DIR/NAME.*`; `shown` are the prims whose `displayColor` it
+/// Write `DIR/NAME_baked.usda` for the bake at `bake` = `DIR/NAME.*`, which comes from `provenance`; `shown` are the prims whose `displayColor` it
 /// shows (none = the asset's own look). Returns its path.
 ///
 /// # Errors
 /// When the file cannot be written.
-pub(super) fn write(stage: &StageInfo, bake: &Path, shown: &[String]) -> Result<PathBuf, Error> {
+pub(super) fn write(
+    stage: &StageInfo,
+    bake: &Path,
+    shown: &[String],
+    provenance: &Provenance,
+) -> Result<PathBuf, Error> {
     let path = path_for(bake);
     let mut layer = Opinions::new();
     author_stage(&mut layer, stage, bake, &path);
+    let made = Value::Dictionary(provenance.dictionary(&stage.path));
+    layer.set(&SdfPath::abs_root(), FieldKey::CustomLayerData, made);
     choose_variants(&mut layer, stage)?;
     if !shown.is_empty() {
         let material = author_material(&mut layer, stage)?;

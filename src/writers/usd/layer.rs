@@ -132,7 +132,7 @@ impl LayerWriter {
         }
         save(&layer.finish(), path)?;
         let shown = if shows { paths } else { Vec::new() };
-        let beside = baked::write(&stage, path, &shown)?;
+        let beside = baked::write(&stage, path, &shown, &self.options.provenance)?;
         Ok(vec![path.to_owned(), beside])
     }
 

@@ -60,7 +60,7 @@ pub enum Error {
     },
 }
 
-/// Where a file comes from, kept in its `customLayerData`.
+/// Where a file comes from; USD keeps it in its `customLayerData`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Provenance {
     /// Version of surflux.
@@ -72,6 +72,16 @@ pub struct Provenance {
 }
 
 impl Provenance {
+    /// `surflux 0.1.0`.
+    pub fn program(&self) -> String {
+        format!("surflux {}", self.version)
+    }
+
+    /// The command line in one line.
+    pub fn words(&self) -> String {
+        self.command.join(" ").replace(char::is_control, " ")
+    }
+
     fn dictionary(&self, source: &Path) -> HashMap<String, Value> {
         let string = |text: &str| Value::String(text.to_owned());
         let mut surflux = HashMap::from([

@@ -4,6 +4,7 @@ use super::paths::{Paths, name};
 use super::values::{Values, narrow};
 use crate::diagnostics::Diagnostics;
 use crate::scene::{RenderProduct, RenderSettings, RenderVar};
+use crate::stage::bake_settings;
 use crate::stage::raw::{RawPrim, RawStage, Value};
 use glam::DVec2;
 
@@ -16,7 +17,12 @@ pub(super) fn read(
     paths: &Paths<'_>,
     diagnostics: &Diagnostics,
 ) -> Vec<RenderSettings> {
-    let is_settings = |prim: &&RawPrim| prim.type_name == "RenderSettings";
+    let is_settings = |prim: &&RawPrim| {
+        matches!(
+            &*prim.type_name,
+            "RenderSettings" | bake_settings::TYPE_NAME
+        )
+    };
     let reader = Reader { paths, diagnostics };
     let stage = &raw.prims[..raw.prototype_start.min(raw.prims.len())];
     let mut all: Vec<RenderSettings> = stage
