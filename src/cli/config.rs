@@ -154,7 +154,12 @@ fn value(flag: &Arg, matches: &ArgMatches) -> Value {
 /// `text` as a number where it is spelled as JSON would spell it.
 fn json_of(text: &str) -> Value {
     match serde_json::from_str::<Value>(text) {
-        Ok(number @ Value::Number(_)) if number.to_string() == text => number,
+        Ok(Value::Number(number)) if is_spelled(&number, text) => Value::Number(number),
         _ => Value::from(text),
     }
+}
+
+fn is_spelled(number: &serde_json::Number, text: &str) -> bool {
+    let spelled = number.to_string();
+    spelled == text
 }

@@ -299,8 +299,14 @@ const USUAL_TOLERANCE: f64 = 0.02;
 const LEFT_TO_COME: f64 = 0.25;
 
 /// # Errors
-/// Where AOVs of reflected light do not fit the bounces or the engine.
-fn check_reflected(args: &GatherArgs, aovs: &[Aov]) -> anyhow::Result<()> {
+/// Where flags lack what they need, and where AOVs of reflected light do not fit the bounces or the engine.
+fn check_gather(args: &GatherArgs, aovs: &[Aov]) -> anyhow::Result<()> {
+    if args.split_clouds && args.cloud.is_empty() {
+        bail!("--split-clouds needs --cloud: clouds whose light is told apart");
+    }
+    if args.falloff != Falloff::None && args.max_distance.is_none() {
+        bail!("--falloff needs --max-distance: where what covers has faded to nothing");
+    }
     let is_reflected = |aov: &&Aov| matches!(aov, Aov::IrradianceIndirect | Aov::RadianceSh);
     let reflected = aovs
         .iter()
@@ -335,13 +341,7 @@ fn gather(args: GatherArgs, surfels: SurfelArgs) -> anyhow::Result<GatherJob> {
             "--gather raster: it gathers from the stage's own surfels, which --cloud replaces (use rays or paper)"
         );
     }
-    if args.split_clouds && args.cloud.is_empty() {
-        bail!("--split-clouds needs --cloud: clouds whose light is told apart");
-    }
-    if args.falloff != Falloff::None && args.max_distance.is_none() {
-        bail!("--falloff needs --max-distance: where what covers has faded to nothing");
-    }
-    check_reflected(&args, &aovs)?;
+    check_gather(&args, &aovs)?;
     Ok(GatherJob {
         aovs,
         bounces: match args.bounces {

@@ -52,25 +52,7 @@ pub(super) fn resolve(
         .get_arguments()
         .filter(|arg| is_given(given, arg))
         .collect();
-    let mut heard: Vec<Heard<'_>> = Vec::new();
-    for layer in layers {
-        let mut adds: Vec<&Arg> = Vec::new();
-        for opinion in *layer {
-            let mut flags = command.get_arguments();
-            let Some(flag) = flags.find(|flag| flag.get_long() == Some(&opinion.flag)) else {
-                continue;
-            };
-            if taken.iter().any(|other| excludes(command, flag, other)) {
-                continue;
-            }
-            heard.push(Heard {
-                opinion,
-                words: words(flag, opinion)?,
-            });
-            adds.push(flag);
-        }
-        taken.extend(adds);
-    }
+    let heard = hear(command, &mut taken, layers)?;
     let line = |heard: &[Heard<'_>]| {
         let added = heard.iter().flat_map(|heard| &heard.words);
         let (start, rest) = argv.split_at(argv.len().min(2));
@@ -106,6 +88,34 @@ pub(super) fn resolve(
             Err(anyhow!("{} ({})", first_lines(&error), all.join(", ")))
         }
     }
+}
+
+/// What counts of `layers`, strongest first, beside flags that are `taken`, which it adds to.
+fn hear<'c, 'o>(
+    command: &'c Command,
+    taken: &mut Vec<&'c Arg>,
+    layers: &[&'o [Opinion]],
+) -> anyhow::Result<Vec<Heard<'o>>> {
+    let mut heard: Vec<Heard<'o>> = Vec::new();
+    for layer in layers {
+        let mut adds: Vec<&'c Arg> = Vec::new();
+        for opinion in *layer {
+            let mut flags = command.get_arguments();
+            let Some(flag) = flags.find(|flag| flag.get_long() == Some(&opinion.flag)) else {
+                continue;
+            };
+            if taken.iter().any(|other| excludes(command, flag, other)) {
+                continue;
+            }
+            heard.push(Heard {
+                opinion,
+                words: words(flag, opinion)?,
+            });
+            adds.push(flag);
+        }
+        taken.extend(adds);
+    }
+    Ok(heard)
 }
 
 fn is_given(matches: &ArgMatches, arg: &Arg) -> bool {
