@@ -122,23 +122,6 @@ fn circles_of_several_kinds_of_arcs_are_refused() {
     }
 }
 
-/// Found by the fuzz run of seed 601, case 187364: the crate reserved 75 PB for an array of strings.
-#[test]
-fn lists_that_stand_in_place_of_their_offset_are_refused() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let text = "#usda 1.0\n( customLayerData = { string[] n = [\"x\", \"y\"] } )\ndef \"W\" {}\n";
-    let mut bytes = binary(text);
-    // array, kind 10 (string): the first such value
-    let rep = (0..bytes.len() - 8).find(|&at| bytes[at + 6..at + 8] == [10, 0x80]);
-    let rep = rep.expect("it has an array of strings");
-    bytes[rep..rep + 8].copy_from_slice(&[1, 0, 0, 0, 0, 0, 10, 0xc0]);
-    let path = folder.path().join("list.usdc");
-    std::fs::write(&path, bytes).expect("a file");
-    let refused = native(&Case::new(&path, None), &Diagnostics::default());
-    let message = refused.expect_err("no offset").to_string();
-    assert!(message.contains("only an offset can"), "{message}");
-}
-
 /// Found by the fuzz run of seed 501, case 18425: the crate's stack overflows at the path `/}`.
 #[test]
 fn prims_with_names_that_usd_does_not_allow_are_refused() {

@@ -215,3 +215,18 @@ fn element_bytes(kind: u64) -> Option<usize> {
         _ => return None,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Found by the fuzz run of seed 601, case 187364: the crate reserved 75 PB for an array of strings at offset 1.
+    #[test]
+    fn lists_do_not_stand_in_place_of_their_offset() {
+        let rep = |kind: u64, flags: u64| flags | (kind << 48) | 1;
+        assert!(check(&[], 8, &[rep(10, ARRAY | INLINED)]).is_err());
+        assert!(check(&[], 8, &[rep(34, INLINED)]).is_err());
+        // an int, an empty dictionary
+        assert_eq!(check(&[], 8, &[rep(3, INLINED), rep(31, INLINED)]), Ok(()));
+    }
+}
