@@ -5,6 +5,7 @@ mod glb;
 mod gltf;
 mod ply;
 mod ptc;
+mod skins;
 mod splats;
 
 #[allow(dead_code, reason = "for other tests")]

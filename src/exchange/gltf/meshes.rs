@@ -2,6 +2,7 @@
 
 use super::accessor::{indices, numbers};
 use super::nodes::Job;
+use super::skins::{self, Bound};
 use crate::exchange::Error;
 use crate::writers::usd::author::Data;
 use glam::{Vec2, Vec3, Vec4};
@@ -9,12 +10,13 @@ use gltf::Semantic;
 use gltf::accessor::Dimensions;
 use gltf::mesh::Mode;
 
-/// Write every primitive of `mesh` at the path that `place` gives its name.
+/// Write every primitive of `mesh` at the path that `place` gives its name, deformed by what it is `bound` to.
 pub(super) fn write(
     job: &mut Job<'_>,
     mesh: &gltf::Mesh<'_>,
     place: &mut dyn FnMut(&str) -> String,
     name: &str,
+    bound: Option<&Bound>,
 ) -> Result<(), Error> {
     let is_one = mesh.primitives().len() == 1;
     for primitive in mesh.primitives() {
@@ -27,19 +29,28 @@ pub(super) fn write(
         let place = path.clone();
         let columns = Columns::read(job, &primitive, &path)
             .map_err(|message| wrong(format!("mesh {} ({place}): {message}", mesh.index())))?;
+        let count = columns.positions.len();
+        if bound.is_none() && primitive.morph_targets().next().is_some() {
+            let message = "the morph targets of instances are left out: it is shown without them";
+            job.lost(&path, message);
+        }
         match primitive.mode() {
             Mode::Points => write_points(job, &primitive, columns, &path)?,
             Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan => {
-                let triangles =
-                    triangles(job, &primitive, columns.positions.len()).map_err(|message| {
-                        wrong(format!("mesh {} ({place}): {message}", mesh.index()))
-                    })?;
+                let triangles = triangles(job, &primitive, count).map_err(|message| {
+                    wrong(format!("mesh {} ({place}): {message}", mesh.index()))
+                })?;
                 write_mesh(job, &primitive, (columns, triangles), &path)?;
             }
-            mode => job.lost(
-                &path,
-                format!("its {mode:?} are left out: only triangles and points are drawn"),
-            ),
+            mode => {
+                let message =
+                    format!("its {mode:?} are left out: only triangles and points are drawn");
+                job.lost(&path, message);
+                continue;
+            }
+        }
+        if let Some(bound) = bound {
+            skins::attach(job, &primitive, (count, &path), bound)?;
         }
     }
     Ok(())
@@ -106,12 +117,6 @@ impl Columns {
                 Semantic::Joints(_) | Semantic::Weights(_) => {}
                 other => job.lost(path, format!("its {other:?} are left out")),
             }
-        }
-        if primitive.morph_targets().next().is_some() {
-            job.lost(
-                path,
-                "its morph targets are left out: it is shown without them",
-            );
         }
         Ok(columns)
     }

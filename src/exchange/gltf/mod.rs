@@ -1,11 +1,12 @@
 //! glTF 2.0 (`.gltf`, `.glb`) → a USD asset: +Y up, meters.
 //!
 //! ```text
-//! /root                 Xform, the default scene
+//! /root                 Xform (SkelRoot where anything is deformed), the default scene
 //!   /NODE               Xform: translate, orient, scale, with time samples where animated
 //!     /MESH             Mesh (Points where the mode is POINTS); of several primitives /MESH_0, /MESH_1 …
 //!     /Camera, /Light, /Instances
 //!   /Looks/MATERIAL     UsdPreviewSurface
+//!   /Skeletons/SKIN     Skeleton, with /Animation
 //! /_meshes/MESH         classes: meshes that several nodes show, which instance them
 //! ```
 //!
@@ -21,8 +22,10 @@
 //! | point and spot lights, I candela | `SphereLight`, normalized, intensity 4 I: it sends a quarter of its intensity (in radiance·area units) along an axis |
 //! | directional lights, E lux | `DistantLight`, normalized, intensity E |
 //! | animation of nodes | time samples at the keys, 24 a second; cubic splines at every frame |
+//! | skins | `Skeleton` and `SkelAnimation`; their nodes are prims too, for what hangs on them |
+//! | morph targets | `BlendShape`s of the points that they move, their weights in the animation |
 //!
-//! Skins and morph targets are shown at rest, with a warning, as is everything else that is lost.
+//! What is lost is a warning.
 
 mod accessor;
 mod document;
@@ -31,6 +34,7 @@ mod materials;
 mod meshes;
 mod motion;
 mod nodes;
+mod skins;
 
 use super::{Error, malformed};
 use crate::diagnostics::Diagnostics;
@@ -80,13 +84,15 @@ pub fn to_usd(
         reader: String::new(),
     };
     let mut author = Author::new(&stage, provenance, "root");
-    author.define("/root", "Xform")?;
+    let is_deformed = skins::any(&document.gltf);
+    author.define("/root", if is_deformed { "SkelRoot" } else { "Xform" })?;
     let mut job = nodes::Job {
         document: &document,
         author: &mut author,
         diagnostics,
         looks: materials::Looks::default(),
         motion,
+        rigs: skins::Rigs::default(),
         converted: Converted::default(),
     };
     job.scene()?;

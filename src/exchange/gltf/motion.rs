@@ -30,10 +30,21 @@ pub(super) struct Tracks {
     pub(super) scale: Option<Track>,
 }
 
+impl Tracks {
+    /// Those that there are.
+    pub(super) fn all(&self) -> impl Iterator<Item = &Track> {
+        [&self.translation, &self.rotation, &self.scale]
+            .into_iter()
+            .flatten()
+    }
+}
+
 /// Everything that moves, by node.
 #[derive(Debug, Default)]
 pub(super) struct Motion {
     nodes: BTreeMap<usize, Tracks>,
+    /// One a morph target: the first number is its weight.
+    weights: BTreeMap<usize, Vec<Track>>,
     range: Option<(f64, f64)>,
 }
 
@@ -54,16 +65,13 @@ impl Motion {
         for channel in animation.channels() {
             let target = channel.target();
             if target.property() == Property::MorphTargetWeights {
-                let message = "the animation of morph targets is left out";
-                diagnostics.warn("lost", place.clone(), message);
+                let tracks = weights(document, &channel)?;
+                tracks.iter().take(1).for_each(|track| motion.extend(track));
+                motion.weights.insert(target.node().index(), tracks);
                 continue;
             }
             let track = track(document, &channel)?;
-            let times = |f: fn(f64, f64) -> f64| track.times().reduce(f);
-            if let Some((first, last)) = times(f64::min).zip(times(f64::max)) {
-                let (low, high) = motion.range.unwrap_or((first, last));
-                motion.range = Some((low.min(first), high.max(last)));
-            }
+            motion.extend(&track);
             let tracks = motion.nodes.entry(target.node().index()).or_default();
             match target.property() {
                 Property::Translation => tracks.translation = Some(track),
@@ -72,6 +80,15 @@ impl Motion {
             }
         }
         Ok(motion)
+    }
+
+    /// Take the times of `track` into the range.
+    fn extend(&mut self, track: &Track) {
+        let times = |f: fn(f64, f64) -> f64| track.times().reduce(f);
+        if let Some((first, last)) = times(f64::min).zip(times(f64::max)) {
+            let (low, high) = self.range.unwrap_or((first, last));
+            self.range = Some((low.min(first), high.max(last)));
+        }
     }
 
     /// First and last time code.
@@ -83,10 +100,36 @@ impl Motion {
     pub(super) fn of(&self, index: usize) -> Option<&Tracks> {
         self.nodes.get(&index)
     }
+
+    /// Weights of the morph targets of node `index`, if they move.
+    pub(super) fn weights_of(&self, index: usize) -> Option<&Vec<Track>> {
+        self.weights.get(&index)
+    }
 }
 
 impl Track {
-    fn times(&self) -> Box<dyn Iterator<Item = f64> + '_> {
+    /// The vector at `time`, straight between samples; of rotations, none.
+    pub(super) fn vector_at(&self, time: f64) -> Vec3 {
+        match self {
+            Self::Vectors(samples) => {
+                between(samples, time, |a, b, t| a.lerp(b, t)).unwrap_or_default()
+            }
+            Self::Rotations(_) => Vec3::ZERO,
+        }
+    }
+
+    /// The rotation at `time`, the short way between samples; of vectors, none.
+    pub(super) fn rotation_at(&self, time: f64) -> Quat {
+        match self {
+            Self::Rotations(samples) => {
+                between(samples, time, Quat::slerp).unwrap_or(Quat::IDENTITY)
+            }
+            Self::Vectors(_) => Quat::IDENTITY,
+        }
+    }
+
+    /// Time codes of the samples.
+    pub(super) fn times(&self) -> Box<dyn Iterator<Item = f64> + '_> {
         match self {
             Self::Vectors(samples) => Box::new(samples.iter().map(|sample| sample.0)),
             Self::Rotations(samples) => Box::new(samples.iter().map(|sample| sample.0)),
@@ -94,13 +137,74 @@ impl Track {
     }
 }
 
-fn track(document: &Document, channel: &gltf::animation::Channel<'_>) -> Result<Track, String> {
+/// The value of `samples` at `time`, held before the first and after the last; `None` if there are none.
+fn between<T: Copy>(samples: &[(f64, T)], time: f64, blend: fn(T, T, f32) -> T) -> Option<T> {
+    let after = samples.partition_point(|sample| sample.0 <= time);
+    let (Some(before), Some(after)) = (after.checked_sub(1), samples.get(after)) else {
+        return samples.get(after.saturating_sub(1)).map(|sample| sample.1);
+    };
+    let (start, from) = samples[before];
+    #[expect(clippy::cast_possible_truncation, reason = "0…1")]
+    let t = ((time - start) / (after.0 - start)) as f32;
+    Some(blend(from, after.1, t))
+}
+
+/// Weights of morph targets, a track each.
+fn weights(
+    document: &Document,
+    channel: &gltf::animation::Channel<'_>,
+) -> Result<Vec<Track>, String> {
     let sampler = channel.sampler();
-    let is_rotation = channel.target().property() == Property::Rotation;
+    let codes = codes(document, &sampler)?;
+    let values = numbers(document, &sampler.output(), &[Dimensions::Scalar])?;
+    let is_cubic = sampler.interpolation() == Interpolation::CubicSpline;
+    let rows = codes.len() * if is_cubic { 3 } else { 1 };
+    if rows == 0 || values.len() % rows != 0 {
+        return Err(format!(
+            "an animation has {} weights for {} keys",
+            values.len(),
+            codes.len()
+        ));
+    }
+    let count = values.len() / rows;
+    let of_target = |k: usize| {
+        let column = values.iter().skip(k).step_by(count);
+        let column = column.map(|&weight| Vec4::new(weight, 0.0, 0.0, 0.0));
+        let samples = samples(&sampler, &codes, column.collect())?;
+        let scalars = samples
+            .into_iter()
+            .map(|(time, value)| (time, value.truncate()));
+        Ok(Track::Vectors(scalars.collect()))
+    };
+    (0..count).map(of_target).collect()
+}
+
+/// Times of keys as time codes, rising.
+fn codes(document: &Document, sampler: &gltf::animation::Sampler<'_>) -> Result<Vec<f64>, String> {
     let times = numbers(document, &sampler.input(), &[Dimensions::Scalar])?;
     if times.windows(2).any(|pair| pair[1] <= pair[0]) {
         return Err("the times of an animation do not rise".to_owned());
     }
+    Ok(times.iter().map(|&time| f64::from(time) * RATE).collect())
+}
+
+/// Samples between which values go straight.
+fn samples(
+    sampler: &gltf::animation::Sampler<'_>,
+    codes: &[f64],
+    values: Vec<Vec4>,
+) -> Result<Vec<(f64, Vec4)>, String> {
+    Ok(match sampler.interpolation() {
+        Interpolation::Linear => codes.iter().copied().zip(values).collect(),
+        Interpolation::Step => held(codes, &values),
+        Interpolation::CubicSpline => spline(codes, &values)?,
+    })
+}
+
+fn track(document: &Document, channel: &gltf::animation::Channel<'_>) -> Result<Track, String> {
+    let sampler = channel.sampler();
+    let is_rotation = channel.target().property() == Property::Rotation;
+    let codes = codes(document, &sampler)?;
     let dimensions = if is_rotation {
         Dimensions::Vec4
     } else {
@@ -119,7 +223,6 @@ fn track(document: &Document, channel: &gltf::animation::Channel<'_>) -> Result<
             )
         })
         .collect();
-    let codes: Vec<f64> = times.iter().map(|&time| f64::from(time) * RATE).collect();
     let is_cubic = sampler.interpolation() == Interpolation::CubicSpline;
     let needed = codes.len() * if is_cubic { 3 } else { 1 };
     if values.len() != needed {
@@ -128,11 +231,7 @@ fn track(document: &Document, channel: &gltf::animation::Channel<'_>) -> Result<
             values.len()
         ));
     }
-    let samples = match sampler.interpolation() {
-        Interpolation::Linear => codes.into_iter().zip(values).collect(),
-        Interpolation::Step => held(&codes, &values),
-        Interpolation::CubicSpline => spline(&codes, &values)?,
-    };
+    let samples = samples(&sampler, &codes, values)?;
     Ok(match is_rotation {
         true => Track::Rotations(rotations(samples)),
         false => {

@@ -5,6 +5,7 @@ use super::document::Document;
 use super::materials::Looks;
 use super::meshes;
 use super::motion::{Motion, Track};
+use super::skins::{self, Rigs};
 use super::{Converted, malformed};
 use crate::diagnostics::Diagnostics;
 use crate::exchange::Error;
@@ -16,7 +17,7 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Nodes below nodes at most: paths of prims grow with every one.
-const DEEPEST: usize = 256;
+pub(super) const DEEPEST: usize = 256;
 
 /// Height of the film of cameras, tenths of a unit: 24 mm where a unit is a meter, which is what files mean.
 const FILM: f64 = 0.24;
@@ -28,6 +29,7 @@ pub(super) struct Job<'a> {
     pub(super) diagnostics: &'a Diagnostics,
     pub(super) looks: Looks,
     pub(super) motion: Motion,
+    pub(super) rigs: Rigs,
     pub(super) converted: Converted,
 }
 
@@ -88,10 +90,13 @@ impl Job<'_> {
         };
         let mut names = Names::default();
         names.unique("Looks");
+        if skins::any(gltf) {
+            names.unique(skins::SKELETONS);
+        }
         for node in roots {
             self.node(&node, ("/root", &mut names), 0, &mut walk)?;
         }
-        Ok(())
+        self.skeletons()
     }
 
     /// A warning that something is lost.
@@ -137,9 +142,6 @@ impl Job<'_> {
         if let Some(light) = node.light() {
             self.light(&light, &format!("{path}/{}", names.unique("Light")))?;
         }
-        if node.skin().is_some() {
-            self.lost(&path, "its skin is left out: it is shown as it was bound");
-        }
         if let Some(mesh) = node.mesh() {
             self.shape(node, &mesh, (&path, &mut names), walk)?;
         }
@@ -158,17 +160,19 @@ impl Job<'_> {
             .name()
             .map_or_else(|| format!("mesh_{}", mesh.index()), str::to_owned);
         if let Some(instancing) = node.extension_value("EXT_mesh_gpu_instancing") {
+            if node.skin().is_some() {
+                let message =
+                    "the skin of instances is left out: they are shown as they were bound";
+                self.lost(path, message);
+            }
             let path = format!("{path}/{}", names.unique("Instances"));
             return self.instancer(instancing, mesh, (&path, &name));
         }
         self.converted.prims += 1;
-        if walk.uses[mesh.index()] < 2 {
-            return meshes::write(
-                self,
-                mesh,
-                &mut |name| format!("{path}/{}", names.unique(name)),
-                &name,
-            );
+        let bound = self.bind(node, mesh)?;
+        if walk.uses[mesh.index()] < 2 || bound.is_some() {
+            let mut place = |name: &str| format!("{path}/{}", names.unique(name));
+            return meshes::write(self, mesh, &mut place, &name, bound.as_ref());
         }
         let class = match walk.classes.get(&mesh.index()) {
             Some(class) => class.clone(),
@@ -182,6 +186,7 @@ impl Job<'_> {
                     mesh,
                     &mut |name| format!("{class}/{}", below.unique(name)),
                     &name,
+                    None,
                 )?;
                 walk.classes.insert(mesh.index(), class.clone());
                 class
@@ -348,7 +353,7 @@ impl Job<'_> {
         self.converted.prims += count;
         let mut below = Names::default();
         let mut place = |name: &str| format!("{prototype}/{}", below.unique(name));
-        meshes::write(self, mesh, &mut place, name)
+        meshes::write(self, mesh, &mut place, name, None)
     }
 
     fn places(&self, instancing: &Value, path: &str) -> Result<Places, Error> {
@@ -415,7 +420,7 @@ struct Places {
 }
 
 /// No rotation where there is none to make unit.
-fn unit(turn: Quat) -> Quat {
+pub(super) fn unit(turn: Quat) -> Quat {
     match turn.length_squared() > 0.0 {
         true => turn.normalize(),
         false => Quat::IDENTITY,

@@ -55,8 +55,14 @@ pub enum Data {
     Quats(Vec<Quat>),
     /// quath[].
     HalfQuats(Vec<Quat>),
+    /// half3[].
+    HalfVec3s(Vec<Vec3>),
+    /// matrix4d[]; column vectors.
+    Matrices(Vec<DMat4>),
     /// token[].
     Tokens(Vec<&'static str>),
+    /// token[] of names that files choose.
+    Names(Vec<String>),
 }
 
 /// A layer being written. Paths are absolute; prims that are missing above one come as overs.
@@ -336,6 +342,17 @@ impl From<Data> for Value {
             Data::Vec4s(x) => Self::Vec4fVec(x.iter().map(|x| x.to_array().into()).collect()),
             Data::Quats(x) => Self::QuatfVec(x.iter().map(quatf).collect()),
             Data::HalfQuats(x) => Self::QuathVec(x.iter().map(quath).collect()),
+            Data::HalfVec3s(x) => Self::Vec3hVec(
+                x.iter()
+                    .map(|x| x.to_array().map(half::f16::from_f32).into())
+                    .collect(),
+            ),
+            Data::Matrices(x) => Self::Matrix4dVec(
+                x.iter()
+                    .map(|x| bytemuck::cast(x.to_cols_array()))
+                    .collect(),
+            ),
+            Data::Names(x) => Self::TokenVec(x.iter().map(|x| x.as_str().into()).collect()),
             Data::Tokens(x) => Self::TokenVec(x.into_iter().map(Token::new).collect()),
         }
     }
