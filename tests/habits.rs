@@ -313,45 +313,16 @@ fn every_output_says_which_command_of_which_version_made_it() {
     let small = ["--usd", "native", "--surfels", "300"];
     let (cloud, bake, image) = (at("c.usdc"), at("b.usdc"), at("i.exr"));
     let report = at("r.html");
-    work(&[&["points", ROOM, "-o", &cloud][..], &small].concat());
-    work(
-        &[
-            &[
-                "bake",
-                ROOM,
-                "-o",
-                &bake,
-                "--aov",
-                "occlusion",
-                "--rays",
-                "16",
-            ][..],
-            &small,
-        ]
-        .concat(),
-    );
-    work(
-        &[
-            &[
-                "render",
-                ROOM,
-                "-o",
-                &image,
-                "--aov",
-                "occlusion",
-                "--rays",
-                "16",
-                "--image-width",
-                "16",
-                "--preview",
-                "--thumbnail",
-                "--report",
-                &report,
-            ][..],
-            &small,
-        ]
-        .concat(),
-    );
+    let gathered = format!("{ROOM} --aov occlusion --rays 16");
+    let preview = format!("--image-width 16 --preview --thumbnail --report {report}");
+    for line in [
+        format!("points {ROOM} -o {cloud}"),
+        format!("bake {gathered} -o {bake}"),
+        format!("render {gathered} -o {image} {preview}"),
+    ] {
+        let words: Vec<&str> = line.split(' ').collect();
+        work(&[&words[..], &small].concat());
+    }
     let baked = at("b_baked.usda");
     for (command, from, to) in [
         ("view", &cloud, "v.png"),
