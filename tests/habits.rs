@@ -310,19 +310,21 @@ fn every_output_says_which_command_of_which_version_made_it() {
         let output = run(&[args, &["--variant", "/out{of=out-of-words}"]].concat());
         assert!(output.status.success(), "{args:?}: {}", stderr(&output));
     };
-    let small = ["--usd", "native", "--surfels", "300"];
-    let (cloud, bake, image) = (at("c.usdc"), at("b.usdc"), at("i.exr"));
-    let report = at("r.html");
-    let gathered = format!("{ROOM} --aov occlusion --rays 16");
-    let preview = format!("--image-width 16 --preview --thumbnail --report {report}");
     for line in [
-        format!("points {ROOM} -o {cloud}"),
-        format!("bake {gathered} -o {bake}"),
-        format!("render {gathered} -o {image} {preview}"),
+        "points ROOM -o c.usdc",
+        "bake ROOM -o b.usdc --aov occlusion --rays 16",
+        "render ROOM -o i.exr --aov occlusion --rays 16 --image-width 16 --preview --thumbnail --report r.html",
     ] {
-        let words: Vec<&str> = line.split(' ').collect();
-        work(&[&words[..], &small].concat());
+        let word = |word: &str| match word {
+            "ROOM" => ROOM.to_owned(),
+            file if file.contains('.') => at(file),
+            other => other.to_owned(),
+        };
+        let words: Vec<String> = line.split(' ').map(word).collect();
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
+        work(&[&words[..], &["--usd", "native", "--surfels", "300"]].concat());
     }
+    let cloud = at("c.usdc");
     let baked = at("b_baked.usda");
     for (command, from, to) in [
         ("view", &cloud, "v.png"),

@@ -1,4 +1,4 @@
-//! Skins and morph targets → UsdSkel: against glTF's own rules in numpy, UsdSkel of usd-core, Blender's importer of glTF, and
+//! Skins and morph targets → `UsdSkel`: against glTF's own rules in numpy, `UsdSkel` of usd-core, Blender's importer of glTF, and
 //! what surflux reads of the result.
 
 use super::ply::numbers;
@@ -45,7 +45,7 @@ fn assert_same_points(a: &[[f64; 3]], b: &[[f64; 3]], tolerance: f64) {
     }
 }
 
-/// Triangles as UsdSkel bakes them, from values of the animation at one time.
+/// Triangles as `UsdSkel` bakes them, from values of the animation at one time.
 const BAKED_BY_USD: &str = "
 import sys, json
 from pxr import Gf, Usd, UsdGeom, UsdSkel
@@ -163,12 +163,13 @@ fn damaged_skins_are_errors() {
         damage(&mut damaged);
         must_fail("a.gltf", damaged.to_string().as_bytes(), word);
     };
-    let binds = whole["skins"][0]["inverseBindMatrices"].as_u64().unwrap() as usize;
+    let binds = whole["skins"][0]["inverseBindMatrices"].as_u64().unwrap();
+    let binds = usize::try_from(binds).unwrap();
     fails("out of range, its skin has 1", &|gltf| {
         gltf["skins"][0]["joints"] = serde_json::json!([2]);
     });
     fails("for 2 joints", &|gltf| {
-        gltf["accessors"][binds]["count"] = 1.into()
+        gltf["accessors"][binds]["count"] = 1.into();
     });
     fails("not both", &|gltf| {
         let attributes = &mut gltf["meshes"][0]["primitives"][0]["attributes"];
@@ -183,7 +184,7 @@ fn damaged_skins_are_errors() {
         gltf["meshes"][0]["primitives"][0]["targets"][0]["POSITION"] = face;
     });
     fails("below itself", &|gltf| {
-        gltf["nodes"][2]["children"] = serde_json::json!([1])
+        gltf["nodes"][2]["children"] = serde_json::json!([1]);
     });
     fails("not finite", &|gltf| {
         gltf["nodes"][1]["scale"] = serde_json::json!([1e39, 1, 1]);

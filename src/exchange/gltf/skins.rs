@@ -1,9 +1,9 @@
 //! Skins and morph targets → `Skeleton`, `SkelAnimation` and `BlendShape` prims below a `SkelRoot`.
 //!
 //! The joints of a skeleton are those of the skin and every node above them, so that the skeleton's space is that of the
-//! scene, which glTF skins in: the transform of the node that shows the mesh has no say there, and none in UsdSkel. Only
+//! scene, which glTF skins in: the transform of the node that shows the mesh has no say there, and none in `UsdSkel`. Only
 //! joints that move are in the animation, whose scales USD keeps in half precision. A mesh with morph targets and no skin
-//! has a skeleton of one joint that moves nothing: UsdSkel finds the weights of shapes through skeletons.
+//! has a skeleton of one joint that moves nothing: `UsdSkel` finds the weights of shapes through skeletons.
 
 use super::accessor::numbers;
 use super::motion::{Track, Tracks};
@@ -363,13 +363,13 @@ impl Rig {
             Data::Floats(self.shapes.iter().map(weight).collect())
         };
         let name = ("blendShapeWeights", "float[]");
-        Ok(match times.is_empty() {
-            true => author.attribute(path, name, at(0.0))?,
-            false => {
-                let samples = times.iter().map(|&time| (time, at(time)));
-                author.samples(path, name, samples.collect())?;
-            }
-        })
+        if times.is_empty() {
+            author.attribute(path, name, at(0.0))?;
+        } else {
+            let samples = times.iter().map(|&time| (time, at(time)));
+            author.samples(path, name, samples.collect())?;
+        }
+        Ok(())
     }
 }
 
