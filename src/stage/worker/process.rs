@@ -92,7 +92,7 @@ impl Process {
         let line = format!("{request}\n");
         let sent = self.requests.write_all(line.as_bytes());
         if sent.and_then(|()| self.requests.flush()).is_err() {
-            return Err(self.death());
+            return Err(self.ended(diagnostics));
         }
         self.wait(None, diagnostics)
     }
@@ -107,7 +107,7 @@ impl Process {
         loop {
             match self.replies.recv_timeout(POLL) {
                 Ok(line) => return self.parse(&line),
-                Err(RecvTimeoutError::Disconnected) => return Err(self.death()),
+                Err(RecvTimeoutError::Disconnected) => return Err(self.ended(diagnostics)),
                 Err(RecvTimeoutError::Timeout) => {}
             }
             if let Err(cancelled) = diagnostics.check() {
@@ -133,6 +133,17 @@ impl Process {
                     "does not speak the worker's language: {error} in {start:?}"
                 )))
             }
+        }
+    }
+
+    /// Why there is no answer and never will be. An interrupt from a terminal ends the worker too, and that may be seen
+    /// sooner than the interrupt is heard.
+    fn ended(&mut self, diagnostics: &Diagnostics) -> Failure {
+        let death = self.death();
+        std::thread::sleep(POLL);
+        match diagnostics.check() {
+            Ok(()) => death,
+            Err(cancelled) => Failure::Cancelled(cancelled),
         }
     }
 
