@@ -146,7 +146,8 @@ class Arrays:
         if partial:
             with open(partial, "rb") as written:
                 shutil.copyfileobj(written, file, 1 << 20)
-        self.items.sort(key=lambda item: -item[0])  # written from the front, let go from the back of the list
+        # Written from the front, let go from the back of the list; an empty array is where the next one begins, before it.
+        self.items.sort(key=lambda item: (item[0], item[1].nbytes), reverse=True)
         while self.items:
             at = self.items[-1][0]
             file.seek(at)
