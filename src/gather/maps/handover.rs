@@ -28,13 +28,13 @@ pub(super) fn mark(
     settings: &MapsSettings,
     visibility: &mut Visibility,
 ) {
-    let creases = Creases::new(plan, receivers);
     let borders = Borders::new(plan, pixels, settings.bias);
     visibility.ambiguous = (visibility.uncertain.par_iter())
         .enumerate()
         .map(|(i, &share)| {
             share > settings.ambiguous
-                || creases.share(plan, receivers, i) > settings.crease
+                || (vertex(plan, receivers, i))
+                    .is_some_and(|(mesh, at)| plan.creases(mesh)[at] > settings.crease)
                 || is_tiny(plan, pixels, receivers, i)
                 || borders.are_met(receivers.position[i], receivers.prim[i])
         })
@@ -57,49 +57,13 @@ fn is_tiny(plan: &MapsPlan<'_>, pixels: &[f32], receivers: &Receivers, i: usize)
     longest.unwrap_or(0.0).sqrt() * scale < TINY * pixels[receivers.prim[i] as usize]
 }
 
-/// For meshes with receivers at vertices: the share of the hemisphere that the faces around each vertex cover.
-struct Creases {
-    of_mesh: Vec<Vec<f32>>,
-}
-
-impl Creases {
-    fn new(plan: &MapsPlan<'_>, receivers: &Receivers) -> Self {
-        let meshes = &plan.scene.meshes;
-        let mut is_asked = vec![false; meshes.len()];
-        for (surface, &prim) in receivers.surface.iter().zip(&receivers.prim) {
-            if corner(surface).is_some()
-                && let Some(prim) = plan.scene.prims.get(prim as usize)
-            {
-                is_asked[prim.mesh.index()] = true;
-            }
-        }
-        let of_mesh = is_asked.into_par_iter().enumerate();
-        Self {
-            of_mesh: of_mesh
-                .map(|(mesh, asked)| {
-                    if asked {
-                        creased(&meshes[mesh], plan.normals(mesh))
-                    } else {
-                        Vec::new()
-                    }
-                })
-                .collect(),
-        }
-    }
-
-    /// 0 for receivers that are at no vertex.
-    fn share(&self, plan: &MapsPlan<'_>, receivers: &Receivers, i: usize) -> f32 {
-        vertex(plan, receivers, i).map_or(0.0, |(mesh, vertex)| self.of_mesh[mesh][vertex])
-    }
-}
-
 /// Corner of its triangle that a receiver stands at, if any.
 fn corner(surface: &SurfacePoint) -> Option<usize> {
     let weights = [1.0 - surface.u - surface.v, surface.u, surface.v];
     weights.iter().position(|&weight| weight >= AT_VERTEX)
 }
 
-/// Mesh and position that receiver `i` stands at, if any.
+/// Number of the mesh and of its position that receiver `i` stands at, if any.
 fn vertex(plan: &MapsPlan<'_>, receivers: &Receivers, i: usize) -> Option<(usize, usize)> {
     let surface = &receivers.surface[i];
     let corner = corner(surface)?;
@@ -112,7 +76,7 @@ fn vertex(plan: &MapsPlan<'_>, receivers: &Receivers, i: usize) -> Option<(usize
 /// For every position, the cosine-weighted share of the hemisphere about its area-weighted normal below the horizon of
 /// the edges around it: the mean of sin² of their elevations, each edge of a face weighing a half where two faces share
 /// it. Faces that look away from the normal cover everything.
-fn creased(mesh: &Mesh, normals: &[Vec3]) -> Vec<f32> {
+pub(super) fn creased(mesh: &Mesh, normals: &[Vec3]) -> Vec<f32> {
     let mut sums = vec![(0.0_f32, 0.0_f32); mesh.positions.len()];
     for t in &mesh.triangles {
         let at = [t[0] as usize, t[1] as usize, t[2] as usize];

@@ -3,6 +3,7 @@
 
 use super::borders::Edges;
 use super::flat::{self, Flat};
+use super::handover;
 use crate::math::Bounds3;
 use crate::scene::{Mesh, Prim, PrimId, Scene};
 use glam::{DAffine3, DVec3, Vec3};
@@ -31,6 +32,8 @@ pub struct MapsPlan<'a> {
     normals: Vec<OnceLock<Vec<Vec3>>>,
     /// Of each mesh: see [`Self::edges`].
     edges: Vec<OnceLock<Edges>>,
+    /// Of each mesh: see [`Self::creases`].
+    creases: Vec<OnceLock<Vec<f32>>>,
 }
 
 /// Prims that share a map.
@@ -100,6 +103,7 @@ impl<'a> MapsPlan<'a> {
             flats,
             normals: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
             edges: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
+            creases: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
         }
     }
 
@@ -112,6 +116,12 @@ impl<'a> MapsPlan<'a> {
     pub(super) fn edges(&self, occluder: &Occluder) -> &Edges {
         let mesh = self.scene.prims[occluder.prim.index()].mesh.index();
         self.edges[mesh].get_or_init(|| Edges::of(&self.scene.meshes[mesh], self.normals(mesh)))
+    }
+
+    /// Share of the hemisphere about each position of a mesh that the faces around it cover, 0…1.
+    pub(super) fn creases(&self, mesh: usize) -> &[f32] {
+        let creased = || handover::creased(&self.scene.meshes[mesh], self.normals(mesh));
+        self.creases[mesh].get_or_init(creased)
     }
 
     /// Mean edge of the densest prims, stage units: the unit of [`super::MapsSettings::pixel`]. 0 if nothing is drawn
