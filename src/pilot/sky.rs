@@ -46,7 +46,7 @@ pub fn finest(settings: &MapsSettings) -> Option<MapsSettings> {
 }
 
 /// Fewest and most directions that are chosen.
-const DIRECTIONS: (f64, f64) = (16.0, 2048.0);
+const DIRECTIONS: (f64, f64) = (16.0, 4096.0);
 
 /// Share of the tolerance that errors of maps themselves may take: more is not to be relied on, since at a few receivers
 /// they hang on the worst of these. With 0.8, at 5, 2 and 1 %, a box with two spheres, teapots, a bunny and a scan were off
@@ -233,7 +233,7 @@ pub fn knobs(settings: &MapsSettings) -> super::Knobs {
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "between 1 and 2048"
+    reason = "between 1 and 4096"
 )]
 fn round(directions: f64) -> u32 {
     directions.clamp(1.0, DIRECTIONS.1).round() as u32

@@ -3,7 +3,7 @@
 //! Two sets of directions are drawn. What is wrong at a receiver in both of them is wrong there with any: the mean of the
 //! products of both errors is the square of the part that stays. The rest, errors of single pixels and outlines, is
 //! independent from direction to direction: its square falls with their number. So told, errors of 64 directions met those
-//! of 256 to 2048 in a box with two spheres, a bunny and a scan where a fixed law was off by factors of 2.3 and 0.5.
+//! of 256 and 1024 in a box with two spheres, a bunny and a scan where a fixed law was off by factors of 2.3 and 0.5.
 
 use super::along::along_axes;
 use super::spread::Spread;
