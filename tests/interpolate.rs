@@ -28,6 +28,7 @@ fn spots(scene: &Scene, tracer: &Tracer) -> Baked {
     let settings = BakeSettings {
         spacing: None,
         surfels: 30_000,
+        ..BakeSettings::default()
     };
     let mut baked = bake(&shader, tracer, &dark, &settings, &diagnostics).expect("not cancelled");
     let cloud = &mut baked.cloud;
@@ -290,6 +291,7 @@ fn parts_add_up() {
     let settings = BakeSettings {
         spacing: None,
         surfels: 10_000,
+        ..BakeSettings::default()
     };
     let baked = bake(&shader, &tracer, &lighting, &settings, &diagnostics).expect("not cancelled");
     let receivers = receivers_in(&scene, floor, 1);

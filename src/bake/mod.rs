@@ -36,6 +36,9 @@ pub struct BakeSettings {
     /// (up to 26) on each side that can be seen; where that alone exceeds the number, the rest is diced up to 4 times
     /// as coarsely as it would be.
     pub surfels: usize,
+    /// Whether each of many lights is looked at from each surfel; see [`Lighting::for_surfels`]. Clouds that are gathered
+    /// from need that less than those that are looked at.
+    pub every_light: bool,
 }
 
 impl Default for BakeSettings {
@@ -43,6 +46,7 @@ impl Default for BakeSettings {
         Self {
             spacing: None,
             surfels: 200_000,
+            every_light: true,
         }
     }
 }
@@ -67,7 +71,7 @@ pub fn bake(
     settings: &BakeSettings,
     diagnostics: &Diagnostics,
 ) -> Result<Baked, Cancelled> {
-    let lighting = lighting.for_surfels();
+    let lighting = lighting.for_surfels(settings.every_light);
     let opacity = shader.opacity();
     let look = Look {
         is_screen: &|prim| opacity.as_ref().is_some_and(|all| all.is_screen(prim)),

@@ -125,6 +125,7 @@ fn budget(surfels: usize) -> BakeSettings {
     BakeSettings {
         spacing: None,
         surfels,
+        ..BakeSettings::default()
     }
 }
 
@@ -309,6 +310,7 @@ fn an_absurd_spacing_is_coarsened_with_a_warning() {
     let settings = BakeSettings {
         spacing: Some(1e-9),
         surfels: 1,
+        ..BakeSettings::default()
     };
     let (_, spacing) = spacing::dice(&scene, &[Sides::Both], &settings, &diagnostics).unwrap();
     assert!(spacing > 1e-5);
@@ -378,6 +380,7 @@ fn spaced(spacing: f32) -> BakeSettings {
     BakeSettings {
         spacing: Some(spacing),
         surfels: 1,
+        ..BakeSettings::default()
     }
 }
 

@@ -256,6 +256,7 @@ fn points(args: PointsArgs, command_line: &[String]) -> anyhow::Result<PointsJob
         bake: BakeSettings {
             spacing,
             surfels: surfels.unwrap_or(defaults.surfels),
+            ..defaults
         },
     })
 }

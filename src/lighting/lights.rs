@@ -1,6 +1,7 @@
 //! UsdLux lights other than domes, prepared for shading: irradiance = unshadowed irradiance × visible fraction.
 
 use super::ShadePoint;
+use super::beacons::{Beacon, is_beside};
 use super::pattern;
 use super::pictures::Picture;
 use super::shape::{Ellipsoid, LightSample, Shape};
@@ -22,33 +23,8 @@ pub(super) struct AreaLight {
     shaping: Option<WorldShaping>,
     texture: Option<Picture>,
     casts_shadows: bool,
-    /// A ball around it and what it sends out, about; `None` if it is infinitely far.
+    /// `None` if it is infinitely far.
     beacon: Option<Beacon>,
-}
-
-/// What is quickly told of a light's strength at a place.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Beacon {
-    center: Vec3,
-    radius: f32,
-    /// Radiance, its channels summed, times area.
-    strength: f32,
-}
-
-impl Beacon {
-    /// About the irradiance at `point` from it, its channels summed, if nothing is in the way: within a factor where the light faces it, above 0
-    /// wherever there is any.
-    pub(super) fn at(self, point: &ShadePoint) -> f32 {
-        let way = self.center - point.position;
-        let squared = way.length_squared().max(f32::MIN_POSITIVE);
-        let distance = squared.sqrt();
-        let (cosine, edge) = (point.normal.dot(way) / distance, self.radius / distance);
-        if cosine + edge <= 0.0 {
-            return 0.0;
-        }
-        let share = (cosine.max(0.0) + edge).min(1.0);
-        self.strength * share / (squared + self.radius * self.radius)
-    }
 }
 
 /// Patterns shared by all lights.
@@ -158,13 +134,16 @@ impl AreaLight {
         self.unshadowed(patterns, point) * self.radiance
     }
 
-    /// What is quickly told of its strength; `None` if it is infinitely far.
+    /// `None` if it is infinitely far.
     pub(super) fn beacon(&self) -> Option<Beacon> {
         self.beacon
     }
 
     /// Distance to this light along the unit `direction` and radiance from there; `None` where it is not met.
     pub(super) fn seen(&self, origin: Vec3, direction: Vec3) -> Option<(f32, Vec3)> {
+        if (self.beacon).is_some_and(|ball| is_beside(&ball, origin, direction)) {
+            return None;
+        }
         let meeting = self.shape.meet(origin, direction)?;
         let sample = LightSample {
             to_light: direction,

@@ -1,6 +1,7 @@
 //! Lights with the prims that they are linked to: those they light, and those that block them.
 
-use super::lights::{AreaLight, Beacon, Patterns};
+use super::beacons::Beacons;
+use super::lights::{AreaLight, Patterns};
 use super::stand::Stand;
 use crate::diagnostics::Diagnostics;
 use crate::math::sequence;
@@ -13,14 +14,23 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub(super) struct LinkedLights {
     lights: Vec<LinkedLight>,
-    /// Theirs, side by side: places weigh all lights.
-    beacons: Vec<Option<Beacon>>,
+    beacons: Beacons,
     /// For lights that only some prims block, one for each such set.
     tracers: Vec<Tracer>,
 }
 
-/// Looks at lights from a place that few rays light; each light is looked at where there are no more.
-const LOOKS: usize = 4;
+/// Lights that are looked at one by one, if there are no more, from places that few rays light.
+const FEW: usize = 4;
+
+/// The same from surfels.
+const FEW_OF_SURFELS: usize = 16;
+
+/// Looks from a surfel at the lights that each give it little.
+const LOOKS: f32 = 16.0;
+
+/// Shares of all light at a surfel, about, between which a light passes from those that are looked at by chance to those that
+/// are looked at one by one.
+const LITTLE: (f32, f32) = (1.0 / 32.0, 1.0 / 16.0);
 
 /// Lights, of those that there are, that such a place weighs against each other.
 const MOST_WEIGHED: usize = 128;
@@ -63,7 +73,7 @@ impl LinkedLights {
             });
         }
         Self {
-            beacons: lights.iter().map(|linked| linked.light.beacon()).collect(),
+            beacons: Beacons::new(lights.iter().map(|linked| linked.light.beacon())),
             lights,
             tracers,
         }
@@ -87,20 +97,17 @@ impl LinkedLights {
         lights.map(|linked| self.ask(linked, stand, &of)).sum()
     }
 
-    /// Irradiance by one look a light or, where there are many, by four: at those that would give most if nothing were in
-    /// the way, about in proportion. `number` chooses them and the places on them; the mean over all numbers is the truth.
+    /// Irradiance by one look a light or, where there are many, by one in all: at one of those that would give most if nothing
+    /// were in the way, in proportion to that, about. `number` chooses it and the place on it; the mean over all numbers is the truth.
     pub(super) fn glimpse(&self, patterns: &Patterns, stand: &Stand<'_>, number: u32) -> Vec3 {
-        let glance =
-            |light: &AreaLight, stand: &Stand<'_>| light.glance(patterns, stand, number as usize);
         let count = self.lights.len();
-        if count <= LOOKS {
-            return self.sum(stand, glance);
+        if count <= FEW {
+            return self.sum(stand, |light, stand| {
+                light.glance(patterns, stand, number as usize)
+            });
         }
         let weighed = count.min(MOST_WEIGHED);
-        let (start, mut next) = (
-            fraction(sequence::hash(number)),
-            fraction(sequence::hash(!number)),
-        );
+        let start = fraction(sequence::hash(number));
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
@@ -112,32 +119,117 @@ impl LinkedLights {
             (place as usize).min(count - 1)
         };
         let mut weights = [0.0_f32; MOST_WEIGHED];
-        for (k, weight) in weights[..weighed].iter_mut().enumerate() {
-            let i = light(k);
-            *weight = match self.beacons[i] {
-                Some(beacon) => beacon.at(stand.point),
-                None => self.lights[i]
-                    .light
-                    .open(patterns, stand.point)
-                    .element_sum(),
-            };
+        let weights = &mut weights[..weighed];
+        if weighed == count {
+            self.beacons.weigh(stand.point, weights);
+        } else {
+            let each = weights.iter_mut().enumerate();
+            each.for_each(|(k, weight)| *weight = self.beacons.at(light(k), stand.point));
         }
-        let step = weights.iter().sum::<f32>() / LOOKS as f32;
+        if !self.beacons.far().is_empty() {
+            let far = (0..weighed).filter(|&k| self.beacons.far().binary_search(&light(k)).is_ok());
+            far.for_each(|k| weights[k] = self.far_weight(light(k), patterns, stand));
+        }
+        let chosen = Chosen {
+            weights,
+            light: &light,
+            part: &|_| 1.0,
+            looks: 1.0,
+        };
+        self.looked_at(&chosen, patterns, stand, number) * (count as f32 / weighed as f32)
+    }
+
+    /// Weight of a light that is infinitely far, as those of [`Beacons::at`].
+    fn far_weight(&self, index: usize, patterns: &Patterns, stand: &Stand<'_>) -> f32 {
+        let light = &self.lights[index].light;
+        light.open(patterns, stand.point).element_sum()
+    }
+
+    /// Sum over the lights by a few looks at those chosen by `number`, in proportion to their weights.
+    fn looked_at(
+        &self,
+        chosen: &Chosen<'_>,
+        patterns: &Patterns,
+        stand: &Stand<'_>,
+        number: u32,
+    ) -> Vec3 {
+        let step = chosen.weights.iter().sum::<f32>() / chosen.looks;
+        let mut next = fraction(sequence::hash(!number)) * step;
         let (mut sum, mut passed) = (Vec3::ZERO, 0.0);
-        next *= step;
-        for (k, &weight) in weights[..weighed].iter().enumerate() {
+        for (k, &weight) in chosen.weights.iter().enumerate() {
             passed += weight;
             let mut looks = 0.0;
             while next < passed {
                 looks += 1.0;
                 next += step;
             }
-            let linked = &self.lights[light(k)];
+            let linked = &self.lights[(chosen.light)(k)];
             if looks > 0.0 && linked.lights(stand) {
-                sum += self.ask(linked, stand, &glance) * (looks * step / weight);
+                let glance = |light: &AreaLight, stand: &Stand<'_>| {
+                    light.glance(patterns, stand, number as usize)
+                };
+                let times = looks * step * (chosen.part)(k) / weight;
+                sum += self.ask(linked, stand, &glance) * times;
             }
         }
-        sum * (count as f32 / weighed as f32)
+        sum
+    }
+
+    /// What `of` says of the lights that give a surfel at `stand` much of its light, as [`Self::sum`] does; where there are few
+    /// lights, of all. Lights that are neither count in part: the rest of them is in [`Self::add_minor`].
+    pub(super) fn major(
+        &self,
+        stand: &Stand<'_>,
+        of: impl Fn(&AreaLight, &Stand<'_>) -> Vec3,
+    ) -> Vec3 {
+        if self.lights.len() <= FEW_OF_SURFELS {
+            return self.sum(stand, of);
+        }
+        let beacon = |index: usize| self.beacons.at(index, stand.point);
+        let all: f32 = (0..self.lights.len()).map(beacon).sum();
+        let mut far = self.beacons.far().iter().peekable();
+        let mut sum = Vec3::ZERO;
+        for (index, linked) in self.lights.iter().enumerate() {
+            let is_far = far.next_if(|&&far| far == index).is_some();
+            let part = if is_far {
+                1.0
+            } else {
+                major_part(beacon(index), all)
+            };
+            if part > 0.0 && linked.lights(stand) {
+                sum += part * self.ask(linked, stand, &of);
+            }
+        }
+        sum
+    }
+
+    /// Add the irradiance of the other lights to `light`, one value for each of the surfels at `stands`, by few looks each: true in the mean over
+    /// neighbors.
+    pub(super) fn add_minor<'a>(
+        &self,
+        patterns: &Patterns,
+        stands: impl Iterator<Item = Stand<'a>>,
+        light: &mut [Vec3],
+    ) {
+        if self.lights.len() <= FEW_OF_SURFELS {
+            return;
+        }
+        let mut weights = vec![0.0; self.lights.len()];
+        for ((number, light), stand) in (0..).zip(light).zip(stands) {
+            self.beacons.weigh(stand.point, &mut weights);
+            let all: f32 = weights.iter().sum();
+            let minor = |weight: f32| 1.0 - major_part(weight, all);
+            weights
+                .iter_mut()
+                .for_each(|weight| *weight *= minor(*weight));
+            let chosen = Chosen {
+                weights: &weights,
+                light: &|k| k,
+                part: &|k| minor(self.beacons.at(k, stand.point)),
+                looks: LOOKS,
+            };
+            *light += self.looked_at(&chosen, patterns, &stand, number);
+        }
     }
 
     fn ask(
@@ -154,6 +246,22 @@ impl LinkedLights {
             }
         }
     }
+}
+
+/// Lights of which a few are looked at.
+struct Chosen<'a> {
+    weights: &'a [f32],
+    /// Index of the light that has weight `k`.
+    light: &'a dyn Fn(usize) -> usize,
+    /// How much of it counts, 0…1; weights have it already.
+    part: &'a dyn Fn(usize) -> f32,
+    looks: f32,
+}
+
+/// Part of a light of `weight` among `all` of a surfel that is looked at on its own, 0…1.
+fn major_part(weight: f32, all: f32) -> f32 {
+    let (none, whole) = LITTLE;
+    ((weight - none * all) / ((whole - none) * all).max(f32::MIN_POSITIVE)).clamp(0.0, 1.0)
 }
 
 impl LinkedLight {

@@ -1,6 +1,7 @@
 //! Light that comes straight from its source: UsdLux lights, the environment, emissive surfaces; with ray-traced
 //! shadows and without noise.
 
+mod beacons;
 mod clusters;
 mod emitters;
 mod environment;
@@ -25,7 +26,7 @@ use crate::trace::Tracer;
 use emitters::{EmitterPatterns, Emitters};
 use environment::Environment;
 use glam::Vec3;
-use lights::Patterns;
+use lights::{AreaLight, Patterns};
 use linked::LinkedLights;
 use stand::Stand;
 
@@ -231,9 +232,13 @@ impl Lighting {
         }
     }
 
-    /// The same sources with the samples of surfels.
-    pub fn for_surfels(&self) -> SurfelLighting<'_> {
-        SurfelLighting(self)
+    /// The same sources with the samples of surfels. Without `every_light`, of more than 16 lights those that each give a
+    /// surfel little of its light are looked at by chance, 16 at a time: right in the mean over neighbors, not at each surfel.
+    pub fn for_surfels(&self, every_light: bool) -> SurfelLighting<'_> {
+        SurfelLighting {
+            lighting: self,
+            every_light,
+        }
     }
 
     /// Irradiance from all UsdLux lights but domes: closed form where unshadowed, times the ray-traced visible part.
@@ -325,7 +330,7 @@ impl Lighting {
         self.emitters_by(&self.fine, shader, &Stand::new(tracer, point))
     }
 
-    /// Irradiance from all lights and domes by one ray a light, of many lights by four rays to those that matter most, and
+    /// Irradiance from all lights and domes by one ray a light, of more than four by one in all, and
     /// by a few to the sky, all of which `number` chooses: in the mean over all numbers the truth. Emissive surfaces are
     /// left out.
     pub fn glimpse(&self, tracer: &Tracer, point: &ShadePoint, number: u32) -> Vec3 {
@@ -336,12 +341,6 @@ impl Lighting {
             Vec3::ZERO
         };
         (self.lights).glimpse(&self.fine.lights, &stand, number) + sky
-    }
-
-    fn glance_by(&self, detail: &Detail, stand: &Stand<'_>, number: usize) -> Vec3 {
-        (self.lights).sum(stand, |light, stand| {
-            light.glance(&detail.lights, stand, number)
-        })
     }
 
     fn lights_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
@@ -383,37 +382,57 @@ fn in_blocks(
 
 /// A [`Lighting`] sampled as coarsely as surfels allow. Its methods are those of the same names there.
 #[derive(Debug, Clone, Copy)]
-pub struct SurfelLighting<'a>(&'a Lighting);
+pub struct SurfelLighting<'a> {
+    lighting: &'a Lighting,
+    every_light: bool,
+}
 
 impl SurfelLighting<'_> {
-    /// Irradiance from all UsdLux lights but domes.
+    /// Irradiance from all UsdLux lights but domes and those that [`Self::wide`] has.
     pub fn lights(&self, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        self.0.lights_by(&self.0.coarse, tracer, point)
+        let patterns = &self.lighting.coarse.lights;
+        self.sum(&Stand::new(tracer, point), |light, stand| {
+            light.irradiance(patterns, stand)
+        })
     }
 
     /// The same with one ray a light, to a place on it that `number` chooses: exact out of penumbrae; in them either
     /// nothing or all of the light, and in the mean over all numbers the truth.
     pub fn glance(&self, tracer: &Tracer, point: &ShadePoint, number: usize) -> Vec3 {
-        let stand = Stand::new(tracer, point);
-        self.0.glance_by(&self.0.coarse, &stand, number)
+        let patterns = &self.lighting.coarse.lights;
+        self.sum(&Stand::new(tracer, point), |light, stand| {
+            light.glance(patterns, stand, number)
+        })
     }
 
-    /// Irradiance from dome lights and emissive surfaces at each of `points`; faster where neighbors follow each other.
+    fn sum(&self, stand: &Stand<'_>, of: impl Fn(&AreaLight, &Stand<'_>) -> Vec3) -> Vec3 {
+        if self.every_light {
+            self.lighting.lights.sum(stand, of)
+        } else {
+            self.lighting.lights.major(stand, of)
+        }
+    }
+
+    /// Irradiance at each of `points` from dome lights and emissive surfaces, and from lights that are looked at by chance;
+    /// faster where neighbors follow each other.
     pub fn wide(&self, shader: &Shader<'_>, tracer: &Tracer, points: &[ShadePoint]) -> Vec<Vec3> {
-        let detail = &self.0.coarse;
-        let mut light = if self.0.has_environment() {
-            let environment = &self.0.environment;
+        let (lighting, detail) = (self.lighting, &self.lighting.coarse);
+        let mut light = if lighting.has_environment() {
             let sky = in_blocks(tracer, (points, f32::INFINITY), |stands| {
-                environment.block(&detail.sky, stands)
+                lighting.environment.block(&detail.sky, stands)
             });
             sky.into_iter().map(|light| light.irradiance).collect()
         } else {
             vec![Vec3::ZERO; points.len()]
         };
-        if self.0.has_emitters() {
+        if lighting.has_emitters() {
             for (light, point) in light.iter_mut().zip(points) {
-                *light += (self.0).emitters_by(detail, shader, &Stand::new(tracer, point));
+                *light += lighting.emitters_by(detail, shader, &Stand::new(tracer, point));
             }
+        }
+        if !self.every_light {
+            let stands = points.iter().map(|point| Stand::new(tracer, point));
+            (lighting.lights).add_minor(&detail.lights, stands, &mut light);
         }
         light
     }

@@ -368,7 +368,11 @@ fn a_linked_light_lights_its_prims_alone_and_only_its_blockers_shadow_it() {
         for ((prim, height), truth) in [(floor, 0.0), (low, 1.0)].into_iter().zip(truth) {
             let point = up_at(Vec3::Y * height).of_prim(prim);
             assert_near(lighting.lights(&tracer, &point), truth, 1e-3);
-            assert_near(lighting.for_surfels().lights(&tracer, &point), truth, 1e-3);
+            assert_near(
+                lighting.for_surfels(true).lights(&tracer, &point),
+                truth,
+                1e-3,
+            );
         }
     }
 }
@@ -473,7 +477,7 @@ fn glances_at_a_light_average_to_its_irradiance() {
     let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
     for x in [-0.4, -0.1, 0.0, 0.3] {
         let point = up_at(Vec3::new(x, 0.0, 0.0));
-        let glance = |number| lighting.for_surfels().glance(&tracer, &point, number).x;
+        let glance = |number| lighting.for_surfels(true).glance(&tracer, &point, number).x;
         let mean = (0..16).map(glance).sum::<f32>() / 16.0;
         let truth = lighting.lights(&tracer, &point).x;
         let open = PI * 0.25;
@@ -512,43 +516,4 @@ fn ball(n: usize) -> Vec<[Vec3; 3]> {
 
 mod emitters;
 mod facets;
-
-#[test]
-fn a_few_looks_at_many_lights_are_true_in_the_mean() {
-    let block = quad(
-        Vec3::new(-0.5, 1.0, -0.5),
-        Vec3::new(-0.5, 1.0, 0.5),
-        Vec3::new(0.5, 1.0, 0.5),
-        Vec3::new(0.5, 1.0, -0.5),
-    );
-    let point = up_at(Vec3::new(0.1, 0.0, 0.0));
-    for count in [30, 300] {
-        let mut scene = scene(vec![mesh(&block)], &[(0, Affine3A::IDENTITY)]);
-        let mut random = Random(7);
-        scene.lights = (0..count)
-            .map(|_| {
-                let [x, y, z] = [0; 3].map(|_| random.next());
-                let place = Vec3::new(6.0 * x - 3.0, 1.5 + y, 6.0 * z - 3.0);
-                let kind = LightKind::Sphere {
-                    radius: 0.05,
-                    treat_as_point: false,
-                };
-                light(kind, Affine3A::from_translation(place))
-            })
-            .collect();
-        let diagnostics = Diagnostics::default();
-        let shader = Shader::new(&scene, &diagnostics);
-        let tracer = Tracer::new(&scene);
-        let lighting = Lighting::new(&shader, ONE_LIGHT, &diagnostics);
-        let exact = lighting.lights(&tracer, &point).x;
-        let looks = 4096;
-        let mean = (0..looks)
-            .map(|number| lighting.glimpse(&tracer, &point, number * 977).x)
-            .sum::<f32>()
-            / looks as f32;
-        assert!(
-            exact > 0.0 && (mean / exact - 1.0).abs() < 0.02,
-            "{mean} {exact}"
-        );
-    }
-}
+mod many_lights;

@@ -443,6 +443,7 @@ fn bounced(
     let coarse_settings = BakeSettings {
         spacing: None,
         surfels: BOUNCE_SURFELS,
+        every_light: false,
     };
     let coarse = (baked.cloud.len() > 2 * BOUNCE_SURFELS)
         .then(|| dice(world, &coarse_settings, (&mut *report, diagnostics)))

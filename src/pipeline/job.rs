@@ -181,6 +181,7 @@ impl GatherJob {
         BakeSettings {
             spacing: self.spacing,
             surfels: wanted,
+            every_light: false,
         }
     }
 }

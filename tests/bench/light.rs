@@ -104,7 +104,7 @@ fn rect_light_at_receivers(bencher: Bencher<'_, '_>) {
 fn rect_light_at_a_glance(bencher: Bencher<'_, '_>) {
     let bencher = std::cell::RefCell::new(Some(bencher));
     with_points(&room(), |_, tracer, lighting, points| {
-        let lighting = lighting.for_surfels();
+        let lighting = lighting.for_surfels(true);
         let bencher = bencher.take().expect("called once");
         bencher
             .counter(ItemsCount::new(points.len()))

@@ -34,6 +34,7 @@ impl Ladder<'_> {
         let coarsen = |settings: BakeSettings, by: usize| BakeSettings {
             spacing: settings.spacing.map(|spacing| spacing * (by as f32).sqrt()),
             surfels: (settings.surfels / by).max(fewest),
+            ..settings
         };
         let [first, second] = if is_fixed { [4, 1] } else { FIRST };
         let mut coarse = self.look(&coarsen(usual, first), (&mut *report, diagnostics))?;
@@ -47,6 +48,7 @@ impl Ladder<'_> {
                 let more = BakeSettings {
                     spacing: settings.spacing.map(|spacing| 0.5 * spacing),
                     surfels: 4 * fine.baked.cloud.len(),
+                    ..settings
                 };
                 let finer = self.look(&more, (&mut *report, diagnostics))?;
                 let ratio = ratio(&fine, &finer).powf(LAW);
