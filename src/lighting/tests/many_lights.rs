@@ -132,8 +132,13 @@ fn lights_weighed_in_rows_weigh_what_each_does_and_rays_beside_their_balls_meet_
         // Toward its middle, its rim, and past it.
         let ball = light.beacon().expect("near");
         let way = (ball.center - point.position).normalize();
-        // A ball shows a quarter of its area. Low lights weigh too much: part of their ball may be above the horizon.
-        let most = if way.y > 0.2 { 8.0 } else { f32::INFINITY };
+        // A ball shows a quarter of its area; low lights weigh more, since part of their ball may be above the horizon.
+        let edge = ball.radius / ball.center.distance(point.position);
+        let most = if way.y > 0.0 {
+            4.5 * (1.0 + edge / way.y)
+        } else {
+            f32::MAX
+        };
         assert!(
             weight >= 0.2 * open && weight <= most * open,
             "{weight} {open}"
