@@ -4,12 +4,13 @@
 use super::arc_cycles::{self, Arcs};
 use super::class_cycles::ClassArcs;
 use super::package::Package;
+use super::pulse::Pulse;
 use super::{crate_check, text};
 use openusd::ar::{self, Asset, ResolvedPath, Resolver};
 use openusd::sdf::AbstractData;
 use openusd::usdc::CrateData;
 use std::cell::RefCell;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::{Component, Path, PathBuf};
@@ -37,6 +38,9 @@ pub(super) struct LayerFiles {
     classes: RefCell<ClassArcs>,
     relocates: RefCell<Relocates>,
     last: RefCell<Option<(PathBuf, Option<Opened>)>>,
+    /// All layers opened so far.
+    opened: RefCell<HashSet<String>>,
+    pulse: Arc<Pulse>,
 }
 
 /// Until a layer with relocates comes, layers are only noted: their arcs count from then on.
@@ -128,7 +132,8 @@ impl Opened {
 pub(super) struct SharedFiles(pub(super) Rc<LayerFiles>);
 
 impl LayerFiles {
-    pub(super) fn new() -> Self {
+    /// Layers are told to `pulse` as they are opened.
+    pub(super) fn new(pulse: Arc<Pulse>) -> Self {
         let working = std::env::current_dir().into_iter();
         let listed = std::env::var_os(SEARCH_PATH_VARIABLE).unwrap_or_default();
         Self {
@@ -139,7 +144,14 @@ impl LayerFiles {
             classes: RefCell::default(),
             relocates: RefCell::default(),
             last: RefCell::default(),
+            opened: RefCell::default(),
+            pulse,
         }
+    }
+
+    /// What hears of progress.
+    pub(super) fn pulse(&self) -> &Pulse {
+        &self.pulse
     }
 
     /// The layer whose bytes were asked for last.
@@ -291,6 +303,9 @@ impl LayerFiles {
             return Ok(EMPTY_LAYER.into());
         }
         let bytes = self.bytes(path)?;
+        if self.opened.borrow_mut().insert(path.to_owned()) {
+            self.pulse.layer(bytes.len());
+        }
         if is_package(path) {
             return Ok(bytes);
         }
@@ -482,7 +497,7 @@ mod tests {
         std::fs::write(root.join("show/near.png"), "x").unwrap();
         std::fs::write(root.join("lib/far.png"), "x").unwrap();
         std::fs::write(root.join("show/t.1001.png"), "x").unwrap();
-        let mut files = LayerFiles::new();
+        let mut files = LayerFiles::new(Arc::default());
         files.search = vec![root.join("lib")];
         let layer = root.join("show/shot/a.usda").to_string_lossy().into_owned();
         let expect = |name: &str| root.join(name).to_string_lossy().into_owned();
