@@ -311,8 +311,7 @@ impl LayerFiles {
         }
         if bytes.starts_with(CRATE_MAGIC) {
             let soundness = crate_check::check(&bytes).map_err(io::Error::other)?;
-            let has_relocates = soundness.has_relocates;
-            if soundness.has_classes || self.relocates_count(path, has_relocates) {
+            if self.relocates_count(path, soundness.has_relocates) || soundness.has_classes {
                 let data = CrateData::open(Cursor::new(&bytes), true).map_err(io::Error::other)?;
                 self.check_arcs(path, &data)?;
             }
@@ -322,8 +321,7 @@ impl LayerFiles {
         let repaired = text::repaired(&text).map_err(io::Error::other)?;
         let text = repaired.unwrap_or(text);
         let has = |words: [&str; 2]| words.iter().any(|word| text.contains(word));
-        let has_relocates = has(arc_cycles::WORDS);
-        if has(CLASS_WORDS) || self.relocates_count(path, has_relocates) {
+        if self.relocates_count(path, has(arc_cycles::WORDS)) || has(CLASS_WORDS) {
             self.check_arcs(
                 path,
                 &openusd::usda::parse(&text).map_err(io::Error::other)?,
@@ -515,5 +513,28 @@ mod tests {
             expect("show/t.<UDIM>.png")
         );
         assert_eq!(files.resolve_value("../u.<UDIM>.png", &layer), "");
+    }
+
+    /// Relocates count from the layer that has them on, classes or none in it.
+    #[test]
+    fn circles_through_a_layer_with_relocates_and_classes_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, format!("#usda 1.0\n{text}")).unwrap();
+            path.to_string_lossy().into_owned()
+        };
+        let root = write(
+            "root.usda",
+            "( subLayers = [@./low.usda@]\nrelocates = { </W/d/d/a>: </W/b/c> } )\ndef \"W\" { def \"a\" ( specializes = </W/c> ) {} }",
+        );
+        let low = write(
+            "low.usda",
+            "def \"W\" { def \"d\" { def \"d\" ( references = </W/b/c> ) {} } def \"b\" ( inherits = </W/c> ) {} }",
+        );
+        let files = LayerFiles::new(Arc::default());
+        assert!(files.read(&root).is_ok());
+        let message = files.read(&low).unwrap_err().to_string();
+        assert!(message.contains("relocates move </W/d/d/a>"), "{message}");
     }
 }
