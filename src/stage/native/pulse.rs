@@ -185,18 +185,19 @@ impl Pulse {
         /// What `/proc` counts in, on every Linux.
         const TICKS_A_SECOND: u32 = 100;
         static BEGINNING: OnceLock<Instant> = OnceLock::new();
-        let elapsed = now.saturating_duration_since(*BEGINNING.get_or_init(|| now));
-        let folder = self.place.get().and_then(|place| place.folder.as_ref());
-        let told = folder.and_then(|folder| {
-            let stat = std::fs::read_to_string(folder.join("stat")).ok()?;
-            let mut fields = stat.rsplit(')').next()?.split_whitespace().skip(11);
-            let mut ticks = || fields.next()?.parse::<u32>().ok();
-            Some(ticks()? + ticks()?)
-        });
-        match told {
-            Some(ticks) => Duration::from_secs(u64::from(ticks)) / TICKS_A_SECOND,
-            None => elapsed.mul_f64(SHARE_OF_TIME),
-        }
+        let Some(place) = self.place.get() else {
+            return Duration::ZERO;
+        };
+        let Some(folder) = &place.folder else {
+            let elapsed = now.saturating_duration_since(*BEGINNING.get_or_init(|| now));
+            return elapsed.mul_f64(SHARE_OF_TIME);
+        };
+        // a thread that ended has no such file
+        let stat = std::fs::read_to_string(folder.join("stat")).unwrap_or_default();
+        let behind_name = stat.rsplit(')').next().unwrap_or_default();
+        let fields = behind_name.split_whitespace().skip(11).take(2);
+        let ticks = fields.filter_map(|ticks| ticks.parse::<u32>().ok());
+        Duration::from_secs(u64::from(ticks.sum::<u32>())) / TICKS_A_SECOND
     }
 
     /// Memory in use of the thread's stack, bytes, where the system tells.
