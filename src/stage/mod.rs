@@ -133,8 +133,9 @@ pub struct UsdComplaint {
 /// # Errors
 /// When the root layer is missing or unreadable, or the worker asked for cannot be started.
 pub fn open(path: &Path, door: Door, diagnostics: &Diagnostics) -> Result<Box<dyn Source>, Error> {
+    let cancel = diagnostics.cancel_token();
     match door {
-        Door::Native => Ok(Box::new(native::NativeSource::open(path)?)),
+        Door::Native => Ok(Box::new(native::NativeSource::open_until(path, cancel)?)),
         Door::UsdCore => Ok(Box::new(worker::WorkerSource::open(path, diagnostics)?)),
         Door::Auto => match worker::WorkerSource::available() {
             true => Ok(Box::new(worker::WorkerSource::open(path, diagnostics)?)),
@@ -143,7 +144,7 @@ pub fn open(path: &Path, door: Door, diagnostics: &Diagnostics) -> Result<Box<dy
                     "no Python with usd-core found: reading {} natively",
                     path.display()
                 );
-                Ok(Box::new(native::NativeSource::open(path)?))
+                Ok(Box::new(native::NativeSource::open_until(path, cancel)?))
             }
         },
     }

@@ -4,6 +4,7 @@
 //! as long as 1000. It opens those together that one question misses, and one question is about many prims: where a
 //! relationship's targets lead. A relationship of the session layer's, which no file holds, asks it.
 
+use super::layer_files::LayerFiles;
 use super::properties::Sites;
 use super::twins::Siblings;
 use crate::diagnostics::CancelToken;
@@ -22,6 +23,7 @@ const FEW_LAYERS: usize = 64;
 /// Composes ahead of a walk, where there are many layers.
 pub(super) struct Ahead<'a> {
     stage: &'a Stage,
+    files: &'a LayerFiles,
     cancel: &'a CancelToken,
     /// Of instances beside each other that compose the same, the walk composes one.
     finds_twins: bool,
@@ -33,12 +35,13 @@ pub(super) struct Ahead<'a> {
 impl<'a> Ahead<'a> {
     /// For a walk over `stage`, which finds twins if that is `finds_twins`.
     pub(super) fn new(
-        stage: &'a Stage,
+        (stage, files): (&'a Stage, &'a LayerFiles),
         cancel: &'a CancelToken,
         (finds_twins, loads_payloads): (bool, bool),
     ) -> Self {
         Self {
             stage,
+            files,
             cancel,
             finds_twins,
             loads_payloads,
@@ -63,6 +66,7 @@ impl<'a> Ahead<'a> {
     /// visited.
     pub(super) fn compose(&mut self, mut level: Vec<sdf::Path>) {
         while !level.is_empty() && !self.cancel.is_cancelled() {
+            self.files.pulse().prims(level.len());
             if self.ask(&level).is_err() {
                 break;
             }
@@ -91,6 +95,7 @@ impl<'a> Ahead<'a> {
 
     /// The children of the prim at `path` that a walk will compose.
     fn below(&self, path: &sdf::Path) -> Vec<sdf::Path> {
+        self.files.pulse().prim(path);
         let children = self.children(path);
         children.unwrap_or_default()
     }

@@ -93,6 +93,7 @@ impl Kept {
                 return Err(Cancelled.into());
             }
             let prim = &mut raw.prims[moving.prim];
+            files.pulse().values();
             let read = moving.read(stage, &properties, prim);
             for (name, attribute) in read.map_err(super::traverse::refused)? {
                 raw.meta.read.add(attribute.value.as_ref());

@@ -4,12 +4,13 @@
 use super::arc_cycles::{self, Arcs};
 use super::class_cycles::ClassArcs;
 use super::package::Package;
+use super::pulse::Pulse;
 use super::{crate_check, text};
 use openusd::ar::{self, Asset, ResolvedPath, Resolver};
 use openusd::sdf::AbstractData;
 use openusd::usdc::CrateData;
 use std::cell::RefCell;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::{Component, Path, PathBuf};
@@ -37,6 +38,9 @@ pub(super) struct LayerFiles {
     classes: RefCell<ClassArcs>,
     relocates: RefCell<Relocates>,
     last: RefCell<Option<(PathBuf, Option<Opened>)>>,
+    /// All layers opened so far.
+    opened: RefCell<HashSet<String>>,
+    pulse: Arc<Pulse>,
 }
 
 /// Until a layer with relocates comes, layers are only noted: their arcs count from then on.
@@ -128,7 +132,8 @@ impl Opened {
 pub(super) struct SharedFiles(pub(super) Rc<LayerFiles>);
 
 impl LayerFiles {
-    pub(super) fn new() -> Self {
+    /// Layers are told to `pulse` as they are opened.
+    pub(super) fn new(pulse: Arc<Pulse>) -> Self {
         let working = std::env::current_dir().into_iter();
         let listed = std::env::var_os(SEARCH_PATH_VARIABLE).unwrap_or_default();
         Self {
@@ -139,7 +144,14 @@ impl LayerFiles {
             classes: RefCell::default(),
             relocates: RefCell::default(),
             last: RefCell::default(),
+            opened: RefCell::default(),
+            pulse,
         }
+    }
+
+    /// What hears of progress.
+    pub(super) fn pulse(&self) -> &Pulse {
+        &self.pulse
     }
 
     /// The layer whose bytes were asked for last.
@@ -291,13 +303,15 @@ impl LayerFiles {
             return Ok(EMPTY_LAYER.into());
         }
         let bytes = self.bytes(path)?;
+        if self.opened.borrow_mut().insert(path.to_owned()) {
+            self.pulse.layer(bytes.len());
+        }
         if is_package(path) {
             return Ok(bytes);
         }
         if bytes.starts_with(CRATE_MAGIC) {
             let soundness = crate_check::check(&bytes).map_err(io::Error::other)?;
-            let has_relocates = soundness.has_relocates;
-            if soundness.has_classes || self.relocates_count(path, has_relocates) {
+            if self.relocates_count(path, soundness.has_relocates) || soundness.has_classes {
                 let data = CrateData::open(Cursor::new(&bytes), true).map_err(io::Error::other)?;
                 self.check_arcs(path, &data)?;
             }
@@ -307,8 +321,7 @@ impl LayerFiles {
         let repaired = text::repaired(&text).map_err(io::Error::other)?;
         let text = repaired.unwrap_or(text);
         let has = |words: [&str; 2]| words.iter().any(|word| text.contains(word));
-        let has_relocates = has(arc_cycles::WORDS);
-        if has(CLASS_WORDS) || self.relocates_count(path, has_relocates) {
+        if self.relocates_count(path, has(arc_cycles::WORDS)) || has(CLASS_WORDS) {
             self.check_arcs(
                 path,
                 &openusd::usda::parse(&text).map_err(io::Error::other)?,
@@ -482,7 +495,7 @@ mod tests {
         std::fs::write(root.join("show/near.png"), "x").unwrap();
         std::fs::write(root.join("lib/far.png"), "x").unwrap();
         std::fs::write(root.join("show/t.1001.png"), "x").unwrap();
-        let mut files = LayerFiles::new();
+        let mut files = LayerFiles::new(Arc::default());
         files.search = vec![root.join("lib")];
         let layer = root.join("show/shot/a.usda").to_string_lossy().into_owned();
         let expect = |name: &str| root.join(name).to_string_lossy().into_owned();
@@ -500,5 +513,28 @@ mod tests {
             expect("show/t.<UDIM>.png")
         );
         assert_eq!(files.resolve_value("../u.<UDIM>.png", &layer), "");
+    }
+
+    /// Relocates count from the layer that has them on, classes or none in it.
+    #[test]
+    fn circles_through_a_layer_with_relocates_and_classes_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, format!("#usda 1.0\n{text}")).unwrap();
+            path.to_string_lossy().into_owned()
+        };
+        let root = write(
+            "root.usda",
+            "( subLayers = [@./low.usda@]\nrelocates = { </W/d/d/a>: </W/b/c> } )\ndef \"W\" { def \"a\" ( specializes = </W/c> ) {} }",
+        );
+        let low = write(
+            "low.usda",
+            "def \"W\" { def \"d\" { def \"d\" ( references = </W/b/c> ) {} } def \"b\" ( inherits = </W/c> ) {} }",
+        );
+        let files = LayerFiles::new(Arc::default());
+        assert!(files.read(&root).is_ok());
+        let message = files.read(&low).unwrap_err().to_string();
+        assert!(message.contains("relocates move </W/d/d/a>"), "{message}");
     }
 }

@@ -16,6 +16,7 @@ mod kept;
 mod layer_files;
 mod package;
 mod properties;
+mod pulse;
 mod session;
 mod text;
 mod traverse;
@@ -24,11 +25,14 @@ mod twins;
 
 use super::raw::{RawStage, Request};
 use super::{Error, Source};
-use crate::diagnostics::{CancelToken, Diagnostics, Warning};
+use crate::diagnostics::{CancelToken, Cancelled, Diagnostics, Warning};
+use pulse::Pulse;
 use session::Session;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::Arc;
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::thread;
+use std::time::{Duration, Instant};
 
 /// What to try when this door cannot read a stage; ends every refusal.
 const OTHER_DOOR: &str = "`--usd usd-core` may read it";
@@ -40,14 +44,19 @@ pub const THREAD_NAME: &str = "openusd";
 /// reserved address space, touched only as far as it is used.
 pub(super) const STACK_BYTES: usize = 1 << 30;
 
+/// How long after a cancellation the thread is waited for; it looks at the token between prims.
+const LAST_WORDS: Duration = Duration::from_secs(1);
+
 /// A stage opened with the `openusd` crate. It lives in a thread of its own (the crate's stage cannot be sent between
-/// threads and recurses deeply) that ends when this is dropped.
+/// threads and recurses deeply) that ends when this is dropped. Where the crate does not come to an end, orders fail, and
+/// the thread is left behind: it ends with the process.
 #[derive(Debug)]
 pub struct NativeSource {
     path: PathBuf,
     jobs: Sender<Job>,
     /// Several loads will come that differ in time only.
     keeps: bool,
+    pulse: Arc<Pulse>,
 }
 
 /// One order to the thread that holds the stage; `request` is `None` for "open it".
@@ -68,16 +77,26 @@ impl NativeSource {
     /// # Errors
     /// When it is missing, unreadable, or cannot be parsed.
     pub fn open(path: &Path) -> Result<Self, Error> {
+        Self::open_until(path, &CancelToken::default())
+    }
+
+    /// Open the root layer at `path`, unless `cancel` comes before.
+    ///
+    /// # Errors
+    /// See [`Self::open`]; cancellation.
+    pub fn open_until(path: &Path, cancel: &CancelToken) -> Result<Self, Error> {
         std::fs::File::open(path).map_err(|source| Error::Unreadable {
             path: path.to_owned(),
             source,
         })?;
         let (jobs, orders) = mpsc::channel();
         let root = path.to_owned();
+        let pulse = Arc::new(Pulse::default());
+        let of_thread = Arc::clone(&pulse);
         thread::Builder::new()
             .name(THREAD_NAME.to_owned())
             .stack_size(STACK_BYTES)
-            .spawn(move || serve(&root, &orders))
+            .spawn(move || serve(&root, &orders, &of_thread))
             .map_err(|source| Error::Unreadable {
                 path: path.to_owned(),
                 source,
@@ -86,8 +105,9 @@ impl NativeSource {
             path: path.to_owned(),
             jobs,
             keeps: false,
+            pulse,
         };
-        source.order(None, CancelToken::default())?;
+        source.order(None, cancel.clone())?;
         Ok(source)
     }
 
@@ -96,15 +116,40 @@ impl NativeSource {
         let job = Job {
             request,
             keeps: self.keeps,
-            cancel,
+            cancel: cancel.clone(),
             reply,
         };
-        let died = || Error::Layer {
+        if self.pulse.is_lost() {
+            return Err(self.failed("the native reader was given up"));
+        }
+        let ended = || self.failed("the native reader's thread ended");
+        self.jobs.send(job).map_err(|_| ended())?;
+        let mut watch = self.pulse.watch();
+        let mut cancelled: Option<Instant> = None;
+        loop {
+            match answer.recv_timeout(pulse::EVERY) {
+                Ok(outcome) => return outcome,
+                Err(RecvTimeoutError::Disconnected) => return Err(ended()),
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            if cancel.is_cancelled()
+                && cancelled.get_or_insert_with(Instant::now).elapsed() > LAST_WORDS
+            {
+                self.pulse.give_up();
+                return Err(Cancelled.into());
+            }
+            if let Some(what) = watch.judge() {
+                self.pulse.give_up();
+                return Err(self.failed(&what));
+            }
+        }
+    }
+
+    fn failed(&self, what: &str) -> Error {
+        Error::Layer {
             path: self.path.clone(),
-            message: format!("the native reader's thread ended; {OTHER_DOOR}"),
-        };
-        self.jobs.send(job).map_err(|_| died())?;
-        answer.recv().map_err(|_| died())?
+            message: format!("{what}; {OTHER_DOOR}"),
+        }
     }
 }
 
@@ -140,9 +185,11 @@ pub(super) fn checked_layer(bytes: Vec<u8>) -> Result<Option<String>, String> {
     Ok(Some(repaired.unwrap_or(text)))
 }
 
-fn serve(root: &Path, orders: &Receiver<Job>) {
-    let mut session = Session::new(root);
+fn serve(root: &Path, orders: &Receiver<Job>, pulse: &Arc<Pulse>) {
+    pulse.is_of_this_thread();
+    let mut session = Session::new(root, pulse);
     while let Ok(job) = orders.recv() {
+        pulse.prims(1);
         let outcome = match &job.request {
             None => session.open().map(|()| (RawStage::default(), Vec::new())),
             Some(request) => session.load(request, job.keeps, &job.cancel),

@@ -5,6 +5,7 @@ use super::complaints;
 use super::kept::Kept;
 use super::layer_files::{EMPTY_SESSION, LayerFiles, SharedFiles};
 use super::properties::Sites;
+use super::pulse::Pulse;
 use super::traverse::Traversal;
 use super::{OTHER_DOOR, Outcome};
 use crate::diagnostics::{CancelToken, Warning};
@@ -18,6 +19,7 @@ use std::collections::{HashMap, HashSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::sync::Arc;
 
 /// A root layer, and its composed stage once it was opened.
 pub(super) struct Session {
@@ -35,10 +37,10 @@ struct Open {
 }
 
 impl Session {
-    pub(super) fn new(root: &Path) -> Self {
+    pub(super) fn new(root: &Path, pulse: &Arc<Pulse>) -> Self {
         Self {
             root: root.to_owned(),
-            files: Rc::new(LayerFiles::new()),
+            files: Rc::new(LayerFiles::new(Arc::clone(pulse))),
             open: None,
         }
     }
@@ -80,6 +82,7 @@ impl Session {
                 walked = traversal().without_twins().run(&session.root)?;
                 errors = stage.composition_errors();
             }
+            session.files.pulse().prims(walked.raw.prims.len());
             let choices = session.judge_choices(&stage, &request.composition.variants)?;
             walked.warnings.extend(choices);
             walked.warnings.extend(session.judge(&errors)?);

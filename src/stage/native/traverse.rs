@@ -72,7 +72,7 @@ impl<'a> Traversal<'a> {
             numbers: HashMap::new(),
             warnings: Vec::new(),
             unloaded: Vec::new(),
-            ahead: Ahead::new(stage, cancel, (finds_twins, loads_payloads)),
+            ahead: Ahead::new((stage, files), cancel, (finds_twins, loads_payloads)),
             clipped: Vec::new(),
             finds_twins,
         }
@@ -169,6 +169,7 @@ impl<'a> Traversal<'a> {
 
     /// Add the prim, if it is to be seen, and return its children.
     fn visit(&mut self, next: &Pending) -> Result<Vec<Pending>, Fault> {
+        self.files.pulse().prim(&next.path);
         let siblings = next.siblings.as_ref();
         let mut sole = siblings.and_then(|all| all.borrow().sole(self.stage, &next.path));
         if let (Some(siblings), Some(own)) = (siblings, sole.take()) {
@@ -267,7 +268,9 @@ impl<'a> Traversal<'a> {
             prim.inactive_ids = sites.inactive_ids(self.stage)?;
         }
         prim.materialx = sites.materialx(self.stage, self.files)?;
+        self.files.pulse().values();
         self.properties.read(&next.path, sites, clips, &mut prim)?;
+        self.files.pulse().prim(&next.path);
         Ok(prim)
     }
 
