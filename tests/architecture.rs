@@ -165,6 +165,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     (
         "cli",
         &[
+            "exchange",
             "pipeline",
             "recipes",
             "diagnostics",

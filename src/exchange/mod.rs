@@ -5,6 +5,7 @@
 //! | glTF, GLB | a USD asset: meshes, materials, lights, cameras, animation | |
 //! | GLB | as glTF | a [`Scene`](crate::scene::Scene) |
 //! | PLY | [`PointSet`](crate::surfels::points::PointSet) or [`Splats`](crate::surfels::splats::Splats) | the same |
+//! | LAS, LAZ | [`PointSet`](crate::surfels::points::PointSet) | |
 //! | `.ptc` | [`PointSet`](crate::surfels::points::PointSet) | the same |
 //!
 //! What a format cannot hold is a warning of kind `lost`, once for each thing lost. Files are checked against their own
@@ -12,6 +13,7 @@
 
 pub mod glb;
 pub mod gltf;
+pub mod las;
 pub mod ply;
 pub mod ptc;
 mod srgb;
