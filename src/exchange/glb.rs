@@ -304,7 +304,8 @@ impl File<'_> {
         let maps = self.textures.of_material(material, &mut data, &lost);
         let mut value = self.base_values(material, (&maps, has_colors));
         let surface = &mut value["pbrMetallicRoughness"];
-        if let Some(base) = maps.base.filter(|_| !has_colors) {
+        let is_color_twice = has_colors && read_of(&material.diffuse_color).is_some();
+        if let Some(base) = maps.base.filter(|_| !is_color_twice) {
             surface["baseColorTexture"] = base;
         }
         if let Some(map) = maps.metallic_roughness {
