@@ -431,29 +431,18 @@ fn json_of(glb: &std::path::Path) -> Json {
 
 #[test]
 fn textures_that_glb_cannot_have_are_told() {
-    let (folder, stage) =
-        crate::program::stage(&TEXTURED.replace("@metal.png@", "@missing.png@").replacen(
-            "varname = \"st\"",
-            "varname = \"other\"",
-            1,
-        ));
-    python_json(PAINT, &[folder.path()]);
-    let glb = folder.path().join("out.glb");
-    let report = convert(&stage, &glb, &["--usd", "native"]);
-    let told: Vec<&str> = report["warnings"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|warning| warning["message"].as_str().unwrap())
-        .collect();
-    assert!(
-        told.iter().any(|told| told.contains("missing.png")),
-        "{told:?}"
-    );
-    assert!(
-        told.iter().any(|told| told.contains("primvars:other")),
-        "{told:?}"
-    );
-    // the leaf has its texture still
-    assert_eq!(json_of(&glb)["images"].as_array().unwrap().len(), 1);
+    // a file that is not there, coordinates that are not written; how many images are left
+    let missing = ("@metal.png@", "@missing.png@", "missing.png", 4);
+    let other = ("\"st\"\n", "\"other\"\n", "primvars:other", 1);
+    for (from, to, word, images) in [missing, other] {
+        let (folder, stage) = crate::program::stage(&TEXTURED.replacen(from, to, 1));
+        python_json(PAINT, &[folder.path()]);
+        let glb = folder.path().join("out.glb");
+        let report = convert(&stage, &glb, &["--usd", "native"]);
+        let warnings = report["warnings"].as_array().unwrap().iter();
+        let mut told = warnings.map(|warning| warning["message"].as_str().unwrap());
+        assert!(told.any(|told| told.contains(word)), "{report}");
+        let json = json_of(&glb);
+        assert_eq!(json["images"].as_array().unwrap().len(), images, "{json}");
+    }
 }

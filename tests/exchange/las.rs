@@ -19,7 +19,7 @@ out, body = [], b''
 for i in range(count):
     place = [random.randrange(-100000, 100000) for _ in range(3)]
     color = [random.randrange(65536 if kind == 'wide' else 256) for _ in range(3)]
-    intensity, group = random.randrange(65536), random.randrange(32)
+    intensity, group = random.randrange(65536), random.randrange(12)
     body += struct.pack('<3iHBBbBH3H', *place, intensity, 0x11, group, 0, 0, 7, *color)
     out.append([[p * s + o for p, s, o in zip(place, scale, offset)], color, intensity, group])
 open(path, 'wb').write(head + body)
