@@ -433,7 +433,8 @@ fn json_of(glb: &std::path::Path) -> Json {
 fn textures_that_glb_cannot_have_are_told() {
     // a file that is not there, coordinates that are not written; how many images are left
     let missing = ("@metal.png@", "@missing.png@", "missing.png", 4);
-    let other = ("\"st\"\n", "\"other\"\n", "primvars:other", 1);
+    let (st, other) = ("varname = \"st\"", "varname = \"other\"");
+    let other = (st, other, "primvars:other", 1);
     for (from, to, word, images) in [missing, other] {
         let (folder, stage) = crate::program::stage(&TEXTURED.replacen(from, to, 1));
         python_json(PAINT, &[folder.path()]);
