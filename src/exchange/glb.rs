@@ -212,9 +212,11 @@ impl File<'_> {
         self.accessors[position]["max"] = json!(high.to_array());
         let normal = self.accessor(part.normals.iter().flat_map(|n| n.to_array()), "VEC3", 3);
         let mut attributes = json!({ "POSITION": position, "NORMAL": normal });
-        let is_textured = material
-            .is_some_and(|id| read_of(&self.scene.materials[id.index()].diffuse_color).is_some());
-        let has_colors = has_colors && !(is_textured && !part.coordinates.is_empty());
+        let is_textured = !part.coordinates.is_empty()
+            && material.is_some_and(|id| {
+                read_of(&self.scene.materials[id.index()].diffuse_color).is_some()
+            });
+        let has_colors = has_colors && !is_textured;
         if has_colors {
             let color = self.accessor(part.colors.iter().flat_map(|c| c.to_array()), "VEC4", 4);
             attributes["COLOR_0"] = json!(color);
@@ -364,13 +366,7 @@ impl File<'_> {
             },
             "emissiveFactor": (emission.truncate() / strength).clamp(Vec3::ZERO, Vec3::ONE).to_array(),
         });
-        let cut = constant("opacityThreshold", &material.opacity_threshold, Vec4::ZERO).x;
-        if maps.has_alpha && cut > 0.0 {
-            value["alphaMode"] = json!("MASK");
-            value["alphaCutoff"] = json!(cut);
-        } else if maps.has_alpha || opacity < 1.0 {
-            value["alphaMode"] = json!("BLEND");
-        }
+        blend(&mut value, material, (maps.has_alpha, opacity));
         let mut extensions = serde_json::Map::new();
         if strength > 1.0 {
             let strength = json!({ "emissiveStrength": strength });
@@ -385,9 +381,10 @@ impl File<'_> {
         value
     }
 
-    fn finish(self, nodes: Vec<Value>, path: &Path) -> Result<Vec<u8>, Error> {
-        let used = ["KHR_materials_emissive_strength", "KHR_materials_unlit"];
-        let mut used: Vec<&str> = used
+    /// Extensions that something uses.
+    fn extensions(&self) -> Vec<&'static str> {
+        let of_materials = ["KHR_materials_emissive_strength", "KHR_materials_unlit"];
+        let mut used: Vec<&str> = of_materials
             .into_iter()
             .filter(|name| {
                 self.materials
@@ -398,6 +395,11 @@ impl File<'_> {
         if self.textures.has_transforms {
             used.push("KHR_texture_transform");
         }
+        used
+    }
+
+    fn finish(self, nodes: Vec<Value>, path: &Path) -> Result<Vec<u8>, Error> {
+        let used = self.extensions();
         let root = nodes.len() - 1;
         let mut value = json!({
             "asset": {
@@ -450,6 +452,18 @@ impl File<'_> {
             bytes.extend(chunk);
         }
         Ok(bytes)
+    }
+}
+
+/// How what lies behind shows through: not where the alpha of a texture is below the threshold, or in part.
+fn blend(value: &mut Value, material: &Material, (has_alpha, opacity): (bool, f32)) {
+    match &material.opacity_threshold {
+        Input::Constant(cut) if has_alpha && cut.x > 0.0 => {
+            value["alphaMode"] = json!("MASK");
+            value["alphaCutoff"] = json!(cut.x);
+        }
+        _ if has_alpha || opacity < 1.0 => value["alphaMode"] = json!("BLEND"),
+        _ => {}
     }
 }
 

@@ -62,7 +62,7 @@ pub fn read(path: &Path, diagnostics: &Diagnostics) -> Result<PointSet, Error> {
 }
 
 /// Refuse what the crate would ask memory for without looking: an extended record, and a table of chunks, longer than the
-/// file. (LAS 1.4 R15, public header block; LASzip, chunk table.)
+/// file. (LAS 1.4 R15, public header block; `LASzip`, chunk table.)
 fn check(bytes: &[u8]) -> Result<(), String> {
     let number = |at: u64, size: usize| -> Option<u64> {
         let at = usize::try_from(at).ok()?;

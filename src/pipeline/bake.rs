@@ -16,6 +16,7 @@ use crate::stage::Source;
 use crate::writers::usd::layer::{BakeOptions, LayerWriter};
 use glam::{DVec3, Vec3};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 pub(super) fn run(
     job: &BakeJob,
@@ -48,9 +49,7 @@ pub(super) fn run(
             diagnostics,
             |world, report| {
                 let (receivers, results) = bake(world, job, (&mut *report, diagnostics))?;
-                if writer.is_none() {
-                    camera = shots::camera_of(world.scene());
-                }
+                camera = camera.take().or_else(|| shots::camera_of(world.scene()));
                 if writer.is_none() && job.output.report.is_some() {
                     plain = timed(&mut report.seconds.pictures, || {
                         without_reflections(world, job, &receivers, (time, diagnostics))
@@ -80,11 +79,7 @@ pub(super) fn run(
         writer.write(path)
     })?;
     if job.output.is_pictured() {
-        let mut seconds = 0.0;
-        timed(&mut seconds, || {
-            picture((job, camera), plain, &mut report, diagnostics)
-        })?;
-        report.seconds.pictures += seconds;
+        picture((job, camera), plain, &mut report, diagnostics)?;
     }
     Ok(report)
 }
@@ -171,6 +166,7 @@ fn picture(
     report: &mut Report,
     diagnostics: &Diagnostics,
 ) -> Result<(), Error> {
+    let start = Instant::now();
     let Some(shown) = report.outputs.get(1).cloned() else {
         return Ok(());
     };
@@ -188,6 +184,7 @@ fn picture(
     };
     let without = without.as_ref().map(|(aov, file)| (*aov, file.as_path()));
     shots::of_bake((job, &shown, camera), without, report, diagnostics);
+    report.seconds.pictures += start.elapsed().as_secs_f64();
     Ok(())
 }
 
