@@ -42,6 +42,7 @@
 
 // vocabulary: plain data
 pub mod diagnostics;
+mod files;
 pub mod math;
 pub mod results;
 pub mod scene;

@@ -8,6 +8,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     // vocabulary
     ("math", &[]),
     ("diagnostics", &[]),
+    ("files", &[]),
     ("scene", &["math"]),
     ("surfels", &["math"]),
     ("results", &["math", "scene"]),
@@ -23,7 +24,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
         &["math", "diagnostics", "scene", "image", "shading", "trace"],
     ),
     // steps
-    ("stage", &["math", "diagnostics", "scene", "surfels"]),
+    (
+        "stage",
+        &["math", "diagnostics", "files", "scene", "surfels"],
+    ),
     (
         "bake",
         &[
@@ -108,7 +112,15 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     (
         "exchange",
-        &["math", "diagnostics", "scene", "surfels", "writers"],
+        &[
+            "math",
+            "diagnostics",
+            "files",
+            "image",
+            "scene",
+            "surfels",
+            "writers",
+        ],
     ),
     (
         "view",
@@ -153,6 +165,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     (
         "cli",
         &[
+            "exchange",
             "pipeline",
             "recipes",
             "diagnostics",

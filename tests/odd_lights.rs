@@ -1,5 +1,7 @@
 //! Lights where nobody should put them and of any brightness: results are finite and what closed forms say.
 
+#[path = "support/floors.rs"]
+mod floors;
 #[allow(dead_code, reason = "every test file uses some of the helpers")]
 #[path = "support/program.rs"]
 mod program;
@@ -9,25 +11,7 @@ use std::fs;
 
 /// A white floor 2 wide at the origin, facing up, and `more`.
 fn scene(more: &str) -> String {
-    format!(
-        r#"#usda 1.0
-( defaultPrim = "World"
-  metersPerUnit = 1
-  upAxis = "Y" )
-def Xform "World"
-{{
-    def Mesh "floor"
-    {{
-        point3f[] points = [(-1, 0, 1), (1, 0, 1), (1, 0, -1), (-1, 0, -1)]
-        int[] faceVertexCounts = [4]
-        int[] faceVertexIndices = [0, 1, 2, 3]
-        uniform token subdivisionScheme = "none"
-        color3f[] primvars:displayColor = [(0.8, 0.8, 0.8)]
-    }}
-    {more}
-}}
-"#
-    )
+    floors::floor(1.0, 0.8, more)
 }
 
 /// A square of half edge `half` around (`x`, `y`, 0), level, seen and shining from below: an image, or a constant.

@@ -1,5 +1,7 @@
 //! Surfaces that let light through: cut-outs and partial opacity of UsdPreviewSurface, end to end, against closed forms.
 
+#[path = "support/floors.rs"]
+mod floors;
 #[allow(dead_code, reason = "every test file uses some of the helpers")]
 #[path = "support/program.rs"]
 mod program;
@@ -15,25 +17,7 @@ const FAR: f32 = 1e4;
 
 /// A floor 1 wide at the origin, facing up, its points at (±0.5, 0, ±0.5), and `more`.
 fn scene(more: &str) -> String {
-    format!(
-        r#"#usda 1.0
-( defaultPrim = "World"
-  metersPerUnit = 1
-  upAxis = "Y" )
-def Xform "World"
-{{
-    def Mesh "floor"
-    {{
-        point3f[] points = [(-0.5, 0, 0.5), (0.5, 0, 0.5), (0.5, 0, -0.5), (-0.5, 0, -0.5)]
-        int[] faceVertexCounts = [4]
-        int[] faceVertexIndices = [0, 1, 2, 3]
-        uniform token subdivisionScheme = "none"
-        color3f[] primvars:displayColor = [(0, 0, 0)]
-    }}
-    {more}
-}}
-"#
-    )
+    floors::floor(0.5, 0.0, more)
 }
 
 /// A level card at `height` of half edge `half` that faces down, with material inputs; its st are 0…1 across it.

@@ -134,12 +134,13 @@ fn pages_of_bakes_and_clouds_show_what_was_written() {
         "--surfels",
         "2000",
     ];
-    made(
+    let told = made(
         folder,
         "bake",
         "b.usdc",
         &[&asked[..], &["--report", &bake, "--thumbnail"]].concat(),
     );
+    assert!(told["seconds"]["pictures"].as_f64().expect("seconds") > 0.0);
     made(
         folder,
         "points",
@@ -169,7 +170,28 @@ fn pages_of_bakes_and_clouds_show_what_was_written() {
     ];
     assert_eq!(titles(&bake), pair);
     assert_eq!(titles(&points)[..2], ["displayColor", "albedo"]);
+    let seen = folder.join("seen.png");
+    let seen = seen.to_str().expect("UTF-8");
+    let baked = page("b_baked.usda");
+    let viewed = ["--aov", "occlusion", "--camera", "cam"];
+    let wide = ["--image-width", "640", "-q", "--usd", "native", "-o", seen];
+    let result = run(&[&["view", &baked][..], &viewed, &wide].concat());
+    assert!(result.status.success(), "{}", stderr(&result));
+    python::run_python(SAME_PICTURE, &[bake.as_str(), "occlusion", seen]);
 }
+
+/// The picture called so on a page has the pixels of the file.
+const SAME_PICTURE: &str = r#"
+import base64, re, sys
+import numpy as np, OpenImageIO as oiio
+page, title, seen = sys.argv[1:]
+text = open(page, encoding='utf-8').read()
+src, = [m for m in re.findall(r'<img[^>]*>', text) if f'alt="{title}"' in m]
+open(seen + '.shown.png', 'wb').write(base64.b64decode(re.search(r'base64,([^"]+)"', src).group(1)))
+codes = lambda path: oiio.ImageBuf(path).get_pixels(oiio.UINT8)[..., :3].astype(int)
+a, b = codes(seen + '.shown.png'), codes(seen)
+assert a.shape == b.shape and (a == b).all(), (a.shape, b.shape)
+"#;
 
 #[test]
 fn a_page_that_cannot_be_written_is_told_before_anything_is_computed() {

@@ -170,12 +170,16 @@ fn shown(program: &clap::Command, resolved: &layers::Resolved) -> Result<(), Fai
     Ok(())
 }
 
-/// The native reader turns panics of the `openusd` crate into errors: nobody should see them twice.
+/// Readers turn panics of the crates `openusd` and `las` into errors: nobody should see them twice.
 fn quiet_reader() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         let thread = std::thread::current();
-        if thread.name() == Some(crate::stage::native::THREAD_NAME) {
+        let readers = [
+            crate::stage::native::THREAD_NAME,
+            crate::exchange::las::THREAD_NAME,
+        ];
+        if thread.name().is_some_and(|name| readers.contains(&name)) {
             log::debug!("{panic}");
         } else {
             usual(panic);

@@ -34,6 +34,7 @@ fn summary(report: &Report) {
         ("octree", seconds.octree),
         ("gather", seconds.gather),
         ("write", seconds.write),
+        ("pictures", seconds.pictures),
     ];
     let phases = phases.iter().filter(|(_, seconds)| *seconds > 0.0);
     let phases: Vec<String> = phases

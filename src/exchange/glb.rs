@@ -1,9 +1,12 @@
-//! A scene → GLB for engines: positions, normals, vertex colors, texture coordinates, base values of materials.
+//! A scene → GLB for engines: positions, normals, vertex colors, texture coordinates, materials with their textures.
 //!
-//! Meshes that several prims show are shared. `displayColor` becomes `COLOR_0`, `st` `TEXCOORD_0` with v turned over. A root
-//! node turns +Z up to +Y up and units to meters. What GLB has here is what surfaces reflect: images, lights, cameras and
-//! animation are left out, with a warning.
+//! Meshes that several prims show are shared. `displayColor` becomes `COLOR_0` where no texture stands for the color, `st`
+//! `TEXCOORD_0` with v turned over. A root node turns +Z up to +Y up and units to meters. What GLB has here is what surfaces
+//! reflect: lights, cameras and animation are left out, with a warning.
 
+mod textures;
+
+use self::textures::{COORDINATES, Maps, Textures, factor, read_of};
 use super::Error;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{
@@ -45,6 +48,7 @@ pub fn write(
         accessors: Vec::new(),
         meshes: Vec::new(),
         materials: Vec::new(),
+        textures: Textures::default(),
         material_of: BTreeMap::new(),
         mesh_of: BTreeMap::new(),
     };
@@ -87,6 +91,7 @@ struct File<'a> {
     accessors: Vec<Value>,
     meshes: Vec<Value>,
     materials: Vec<Value>,
+    textures: Textures,
     /// Index of each material that is used, by whether vertex colors stand for its color.
     material_of: BTreeMap<(Option<MaterialId>, bool), usize>,
     /// Index of each mesh with the materials it has.
@@ -147,7 +152,7 @@ impl File<'_> {
     /// Write `mesh` as `prim` shows it, its points moved by `place`; returns its index.
     fn mesh(&mut self, mesh: &Mesh, prim: &Prim, place: Affine3A) -> usize {
         let colors = mesh.primvar("displayColor");
-        let coordinates = mesh.primvar("st").filter(|st| st.components == 2);
+        let coordinates = mesh.primvar(COORDINATES).filter(|st| st.components == 2);
         let mut parts: BTreeMap<Option<MaterialId>, Part> = BTreeMap::new();
         let turned = normal_matrix(place);
         let flips = place.matrix3.determinant() < 0.0;
@@ -207,6 +212,11 @@ impl File<'_> {
         self.accessors[position]["max"] = json!(high.to_array());
         let normal = self.accessor(part.normals.iter().flat_map(|n| n.to_array()), "VEC3", 3);
         let mut attributes = json!({ "POSITION": position, "NORMAL": normal });
+        let is_textured = !part.coordinates.is_empty()
+            && material.is_some_and(|id| {
+                read_of(&self.scene.materials[id.index()].diffuse_color).is_some()
+            });
+        let has_colors = has_colors && !is_textured;
         if has_colors {
             let color = self.accessor(part.colors.iter().flat_map(|c| c.to_array()), "VEC4", 4);
             attributes["COLOR_0"] = json!(color);
@@ -269,7 +279,7 @@ impl File<'_> {
             ..Material::default()
         };
         let material = id.map_or(&gray, |id| &self.scene.materials[id.index()]);
-        let mut value = self.base_values(material, has_colors);
+        let mut value = self.values(material, has_colors);
         value["doubleSided"] = json!(self.scene.mesh_of(prim).double_sided);
         self.materials.push(value);
         self.material_of
@@ -277,24 +287,53 @@ impl File<'_> {
         self.materials.len() - 1
     }
 
-    fn base_values(&self, material: &Material, has_colors: bool) -> Value {
-        let lost = |input: &str| {
-            let message =
-                format!("its {input} varies over the surface: the material has one value of it");
-            self.diagnostics
-                .warn("lost", material.path.clone(), message);
+    /// What a material says, its textures written.
+    fn values(&mut self, material: &Material, has_colors: bool) -> Value {
+        let diagnostics = self.diagnostics;
+        let lost = |input: &str, why: String| {
+            let message = format!("the texture of its {input} is left out: {why}");
+            diagnostics.warn("lost", material.path.clone(), message);
         };
+        let (bytes, views) = (&mut self.bytes, &mut self.views);
+        let mut data = |image: &[u8]| {
+            views.push(json!({
+                "buffer": 0, "byteOffset": bytes.len(), "byteLength": image.len(),
+            }));
+            bytes.extend(image);
+            bytes.resize(bytes.len().next_multiple_of(4), 0);
+            views.len() - 1
+        };
+        let maps = self.textures.of_material(material, &mut data, &lost);
+        let mut value = self.base_values(material, (&maps, has_colors));
+        let surface = &mut value["pbrMetallicRoughness"];
+        let is_color_twice = has_colors && read_of(&material.diffuse_color).is_some();
+        if let Some(base) = maps.base.filter(|_| !is_color_twice) {
+            surface["baseColorTexture"] = base;
+        }
+        if let Some(map) = maps.metallic_roughness {
+            surface["metallicRoughnessTexture"] = map;
+        }
+        if let Some(map) = maps.emissive {
+            value["emissiveTexture"] = map;
+        }
+        if let Some(map) = maps.normal {
+            value["normalTexture"] = map;
+        }
+        value
+    }
+
+    fn base_values(&self, material: &Material, (maps, has_colors): (&Maps, bool)) -> Value {
         let constant = |name: &str, input: &Input, varying: Vec4| match input {
             Input::Constant(value) => *value,
             Input::Primvar { .. } if name == "diffuseColor" && has_colors => Vec4::ONE,
             Input::Primvar { fallback, .. } => {
-                lost(name);
+                let message =
+                    format!("its {name} varies over the surface: the material has one value of it");
+                self.diagnostics
+                    .warn("lost", material.path.clone(), message);
                 *fallback
             }
-            Input::Texture(_) => {
-                lost(name);
-                varying
-            }
+            Input::Texture(_) => varying,
         };
         let white = Vec4::ONE;
         let color = match has_colors {
@@ -305,23 +344,29 @@ impl File<'_> {
         let emission = match &material.emissive_color {
             // what shows a bake: its colors are there already
             Input::Primvar { .. } if has_colors => Vec4::ZERO,
+            Input::Texture(_) if maps.emissive.is_some() => {
+                Vec3::splat(maps.emissive_strength).extend(1.0)
+            }
             input => constant("emissiveColor", input, Vec4::ZERO),
         };
         let strength = emission.truncate().max_element().max(1.0);
         let name = material.path.rsplit('/').next().unwrap_or_default();
         let is_display = matches!(&material.emissive_color, Input::Primvar { .. }) && has_colors;
+        let has_map = maps.metallic_roughness.is_some();
+        let number = |name: &str, input: &Input| match input {
+            Input::Primvar { .. } => constant(name, input, white).x,
+            _ => factor(input, has_map),
+        };
         let mut value = json!({
             "name": name,
             "pbrMetallicRoughness": {
                 "baseColorFactor": color.truncate().clamp(Vec3::ZERO, Vec3::ONE).extend(opacity.clamp(0.0, 1.0)).to_array(),
-                "metallicFactor": constant("metallic", &material.metallic, white).x.clamp(0.0, 1.0),
-                "roughnessFactor": constant("roughness", &material.roughness, white).x.clamp(0.0, 1.0),
+                "metallicFactor": number("metallic", &material.metallic).clamp(0.0, 1.0),
+                "roughnessFactor": number("roughness", &material.roughness).clamp(0.0, 1.0),
             },
             "emissiveFactor": (emission.truncate() / strength).clamp(Vec3::ZERO, Vec3::ONE).to_array(),
         });
-        if opacity < 1.0 {
-            value["alphaMode"] = json!("BLEND");
-        }
+        blend(&mut value, material, (maps.has_alpha, opacity));
         let mut extensions = serde_json::Map::new();
         if strength > 1.0 {
             let strength = json!({ "emissiveStrength": strength });
@@ -336,9 +381,10 @@ impl File<'_> {
         value
     }
 
-    fn finish(self, nodes: Vec<Value>, path: &Path) -> Result<Vec<u8>, Error> {
-        let used = ["KHR_materials_emissive_strength", "KHR_materials_unlit"];
-        let used: Vec<&str> = used
+    /// Extensions that something uses.
+    fn extensions(&self) -> Vec<&'static str> {
+        let of_materials = ["KHR_materials_emissive_strength", "KHR_materials_unlit"];
+        let mut used: Vec<&str> = of_materials
             .into_iter()
             .filter(|name| {
                 self.materials
@@ -346,6 +392,14 @@ impl File<'_> {
                     .any(|material| material["extensions"].get(name).is_some())
             })
             .collect();
+        if self.textures.has_transforms {
+            used.push("KHR_texture_transform");
+        }
+        used
+    }
+
+    fn finish(self, nodes: Vec<Value>, path: &Path) -> Result<Vec<u8>, Error> {
+        let used = self.extensions();
         let root = nodes.len() - 1;
         let mut value = json!({
             "asset": {
@@ -360,6 +414,9 @@ impl File<'_> {
         let lists = [
             ("meshes", self.meshes),
             ("materials", self.materials),
+            ("images", self.textures.images),
+            ("samplers", self.textures.samplers),
+            ("textures", self.textures.textures),
             ("accessors", self.accessors),
             ("bufferViews", self.views),
         ];
@@ -395,6 +452,18 @@ impl File<'_> {
             bytes.extend(chunk);
         }
         Ok(bytes)
+    }
+}
+
+/// How what lies behind shows through: not where the alpha of a texture is below the threshold, or in part.
+fn blend(value: &mut Value, material: &Material, (has_alpha, opacity): (bool, f32)) {
+    match &material.opacity_threshold {
+        Input::Constant(cut) if has_alpha && cut.x > 0.0 => {
+            value["alphaMode"] = json!("MASK");
+            value["alphaCutoff"] = json!(cut.x);
+        }
+        _ if has_alpha || opacity < 1.0 => value["alphaMode"] = json!("BLEND"),
+        _ => {}
     }
 }
 

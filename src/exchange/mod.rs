@@ -5,6 +5,7 @@
 //! | glTF, GLB | a USD asset: meshes, materials, lights, cameras, animation | |
 //! | GLB | as glTF | a [`Scene`](crate::scene::Scene) |
 //! | PLY | [`PointSet`](crate::surfels::points::PointSet) or [`Splats`](crate::surfels::splats::Splats) | the same |
+//! | LAS, LAZ | [`PointSet`](crate::surfels::points::PointSet) | |
 //! | `.ptc` | [`PointSet`](crate::surfels::points::PointSet) | the same |
 //!
 //! What a format cannot hold is a warning of kind `lost`, once for each thing lost. Files are checked against their own
@@ -12,10 +13,14 @@
 
 pub mod glb;
 pub mod gltf;
+pub mod las;
 pub mod ply;
 pub mod ptc;
 mod srgb;
 
+use crate::files::Bytes;
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
 /// Why a file could not be converted. Nothing was written then.
@@ -59,8 +64,8 @@ pub enum Error {
     },
 }
 
-fn read_file(path: &Path) -> Result<Vec<u8>, Error> {
-    std::fs::read(path).map_err(|source| Error::Unreadable {
+fn read_file(path: &Path) -> Result<Bytes, Error> {
+    Bytes::of(path).map_err(|source| Error::Unreadable {
         path: path.to_owned(),
         source,
     })
@@ -72,4 +77,33 @@ fn malformed(path: &Path) -> impl Fn(String) -> Error {
         path: path.to_owned(),
         message,
     }
+}
+
+/// Coordinates of double precision beyond this are kept relative to an origin: single precision has steps of 5e-4
+/// there.
+const FAR: f64 = 4096.0;
+
+fn not_finite(at: usize) -> String {
+    format!("the position of point {at} is not finite")
+}
+
+/// `absolute` relative to an origin, which is 0 unless something is far off it.
+fn single_precision(absolute: &[DVec3]) -> Result<(DVec3, Vec<Vec3>), String> {
+    let points = absolute.par_iter();
+    if let Some(at) = points.position_first(|p| !p.as_vec3().is_finite()) {
+        return Err(not_finite(at));
+    }
+    let bounds = |f: fn(DVec3, DVec3) -> DVec3| {
+        let points = absolute.par_iter().copied();
+        points.reduce_with(f).unwrap_or_default()
+    };
+    let (low, high) = (bounds(DVec3::min), bounds(DVec3::max));
+    let is_far = low.abs().max(high.abs()).max_element() > FAR;
+    let origin = if is_far {
+        (0.5 * (low + high)).round()
+    } else {
+        DVec3::ZERO
+    };
+    let relative = absolute.par_iter().map(|p| (*p - origin).as_vec3());
+    Ok((origin, relative.collect()))
 }

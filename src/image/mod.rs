@@ -3,6 +3,7 @@
 //! Files: PNG, JPEG, TGA, BMP, TIFF, Radiance HDR and OpenEXR, also inside `.usdz` packages (`a.usdz[b.png]`), and
 //! UDIM sets (`<UDIM>` in the name). Values are linear after loading, primaries are taken as Rec.709.
 
+mod codes;
 mod decode;
 mod exr_file;
 mod latlong;
@@ -12,6 +13,7 @@ mod probe;
 mod pyramid;
 mod texture;
 
+pub use codes::{Codes, Use, bytes_of, png_of_codes};
 pub use latlong::Latlong;
 pub use lookup::Image;
 pub use probe::{Probe, probe, tiles};

@@ -4,18 +4,19 @@ use super::gather::record;
 use super::groups::gather_parts;
 use super::job::{BakeJob, BakeView};
 use super::report::{Report, peak_memory_bytes, timed};
-use super::view::camera;
+use super::view;
 use super::world::{Needs, World, with_world};
 use super::{Error, gather, outputs, provenance, shots, source_of};
 use crate::diagnostics::Diagnostics;
 use crate::receivers::{Receivers, primvar};
 use crate::results::{Aov, Results, Target};
 use crate::scene::camera::Projection;
-use crate::scene::{PrimId, Scene};
+use crate::scene::{Camera, PrimId, Scene};
 use crate::stage::Source;
 use crate::writers::usd::layer::{BakeOptions, LayerWriter};
 use glam::{DVec3, Vec3};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 pub(super) fn run(
     job: &BakeJob,
@@ -39,6 +40,7 @@ pub(super) fn run(
     };
     let mut writer: Option<LayerWriter> = None;
     let mut plain: Option<(Aov, LayerWriter)> = None;
+    let mut camera = None;
     for time in job.stage.times() {
         with_world(
             source.as_mut(),
@@ -47,8 +49,9 @@ pub(super) fn run(
             diagnostics,
             |world, report| {
                 let (receivers, results) = bake(world, job, (&mut *report, diagnostics))?;
+                camera = camera.take().or_else(|| shots::camera_of(world.scene()));
                 if writer.is_none() && job.output.report.is_some() {
-                    plain = timed(&mut report.seconds.gather, || {
+                    plain = timed(&mut report.seconds.pictures, || {
                         without_reflections(world, job, &receivers, (time, diagnostics))
                     })?;
                 }
@@ -76,7 +79,7 @@ pub(super) fn run(
         writer.write(path)
     })?;
     if job.output.is_pictured() {
-        picture(job, plain, &mut report, diagnostics)?;
+        picture((job, camera), plain, &mut report, diagnostics)?;
     }
     Ok(report)
 }
@@ -158,11 +161,12 @@ fn without_reflections(
 
 /// Show the bake on the page, beside the one without reflections.
 fn picture(
-    job: &BakeJob,
+    (job, camera): (&BakeJob, Option<Camera>),
     plain: Option<(Aov, LayerWriter)>,
     report: &mut Report,
     diagnostics: &Diagnostics,
 ) -> Result<(), Error> {
+    let start = Instant::now();
     let Some(shown) = report.outputs.get(1).cloned() else {
         return Ok(());
     };
@@ -179,7 +183,8 @@ fn picture(
         None => None,
     };
     let without = without.as_ref().map(|(aov, file)| (*aov, file.as_path()));
-    shots::of_bake((job, &shown), without, report, diagnostics);
+    shots::of_bake((job, &shown, camera), without, report, diagnostics);
+    report.seconds.pictures += start.elapsed().as_secs_f64();
     Ok(())
 }
 
@@ -188,7 +193,7 @@ fn look_from(view: &BakeView, scene: &Scene, receivers: &mut Receivers) -> Resul
     receivers.toward_eye = match view {
         BakeView::Along(direction) => vec![-*direction; receivers.len()],
         BakeView::Camera(name) => {
-            let camera = camera(scene, Some(name))?;
+            let camera = view::camera(scene, Some(name))?;
             let along = camera.world_from_camera.transform_vector3(DVec3::NEG_Z);
             let eye = camera.world_from_camera.translation;
             let toward = |position: &Vec3| match camera.projection {

@@ -4,7 +4,7 @@ use super::report::{Report, timed};
 use super::world::{Needs, read_settings};
 use super::{ConvertJob, Error, outputs, provenance};
 use crate::diagnostics::Diagnostics;
-use crate::exchange::{glb, gltf, ply, ptc};
+use crate::exchange::{glb, gltf, las, ply, ptc};
 use crate::scene::{Scene, StageInfo, UpAxis};
 use crate::stage::cloud::{self, Found};
 use crate::stage::{self, ReadSettings};
@@ -17,7 +17,7 @@ use std::path::Path;
 const METER: f64 = 1.0;
 
 /// What can be made of what.
-const WAYS: &str = "there are ways from .gltf and .glb to USD, from USD stages to .glb, and between USD clouds, .ply and .ptc";
+const WAYS: &str = "there are ways from .gltf and .glb to USD, from USD stages to .glb, between USD clouds, .ply and .ptc, and from .las and .laz to all three";
 
 /// What was read.
 enum Read {
@@ -90,6 +90,11 @@ fn read(job: &ConvertJob, report: &mut Report, diagnostics: &Diagnostics) -> Res
             Read::Points(points, said(job, about))
         }
         "ptc" => Read::Points(ptc::read(path, diagnostics)?, said(job, None)),
+        "las" | "laz" => {
+            let mut about = said(job, None);
+            about.up_axis = job.up_axis.unwrap_or(UpAxis::Z);
+            Read::Points(las::read(path, diagnostics)?, about)
+        }
         "usd" | "usda" | "usdc" | "usdz" => read_usd(job, diagnostics)?,
         _ => return Err(no_way(job)),
     };

@@ -33,6 +33,7 @@ pub(super) fn run(
         return Ok(report);
     }
     let mut source = source_of(&job.stage, opened, diagnostics)?;
+    let mut camera = None;
     for (time, path) in &frames {
         with_world(
             source.as_mut(),
@@ -40,6 +41,7 @@ pub(super) fn run(
             &mut report,
             diagnostics,
             |world, report| {
+                camera = camera.take().or_else(|| shots::camera_of(world.scene()));
                 let baked = dice(world, &job.bake, (&mut *report, diagnostics))?;
                 let cloud = baked.cloud.without_holes();
                 report.counts.surfels = report.counts.surfels.max(cloud.len());
@@ -57,7 +59,11 @@ pub(super) fn run(
         )?;
     }
     if let Some((_, path)) = frames.first().filter(|_| job.output.is_pictured()) {
-        shots::of_points((&job.stage, path), &mut report, diagnostics);
+        let mut seconds = 0.0;
+        timed(&mut seconds, || {
+            shots::of_points((&job.stage, path, camera), &mut report, diagnostics);
+        });
+        report.seconds.pictures += seconds;
     }
     report.peak_memory_bytes = peak_memory_bytes(source.as_ref());
     Ok(report)

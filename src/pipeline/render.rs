@@ -125,11 +125,15 @@ fn render(
     })?;
     if shown {
         let pair = shots::paired(&view.aovs, &job.gather).filter(|_| job.output.report.is_some());
-        let plain = timed(&mut report.seconds.gather, || {
+        let mut seconds = 0.0;
+        let plain = timed(&mut seconds, || {
             pair.map(|aov| without_reflections(world, view, (job, aov), diagnostics))
         });
         let plain = plain.transpose()?.flatten();
-        shots::of_render(&images, plain.as_ref(), (job, &view.output), report);
+        timed(&mut seconds, || {
+            shots::of_render(&images, plain.as_ref(), (job, &view.output), report);
+        });
+        report.seconds.pictures += seconds;
     }
     Ok(())
 }

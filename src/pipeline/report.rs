@@ -27,6 +27,8 @@ pub struct Seconds {
     pub gather: f64,
     /// Files.
     pub write: f64,
+    /// Pictures for a page or a thumbnail, what is gathered for them alone included.
+    pub pictures: f64,
     /// Everything.
     pub total: f64,
 }

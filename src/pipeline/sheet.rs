@@ -95,6 +95,7 @@ fn seconds(report: &Report) -> Markup {
         ("octree", seconds.octree),
         ("gather", seconds.gather),
         ("write", seconds.write),
+        ("pictures", seconds.pictures),
         ("total", seconds.total),
     ];
     html! { div { table {

@@ -8,7 +8,7 @@ use crate::diagnostics::{Diagnostics, Silent};
 use crate::receivers::camera::camera_around;
 use crate::receivers::lens::Frame;
 use crate::results::{Aov, AovImage};
-use crate::scene::Camera;
+use crate::scene::{Camera, Scene};
 use crate::view::{Channel, PictureSettings, Subject, picture};
 use crate::writers::image::png_to_look_at;
 use std::path::Path;
@@ -117,9 +117,24 @@ pub(super) fn of_render(
     report.shots.extend(others.map(shot));
 }
 
-/// Show the cloud `file`.
+/// What the page looks through: the camera of the stage's render settings, else its first; `None` without cameras.
+pub(super) fn camera_of(scene: &Scene) -> Option<Camera> {
+    let named = |path: &String| scene.cameras.iter().find(|camera| camera.path == *path);
+    let mut settings = scene.render_settings.iter();
+    let of_settings = settings.find_map(|settings| {
+        let products = settings.products.iter();
+        let mut asked = settings
+            .camera
+            .iter()
+            .chain(products.filter_map(|product| product.camera.as_ref()));
+        asked.find_map(named)
+    });
+    of_settings.or_else(|| scene.cameras.first()).cloned()
+}
+
+/// Show the cloud `file` as `camera` sees it, or from where all of it is seen.
 pub(super) fn of_points(
-    (stage, file): (&StageJob, &Path),
+    (stage, file, camera): (&StageJob, &Path, Option<Camera>),
     report: &mut Report,
     diagnostics: &Diagnostics,
 ) {
@@ -128,16 +143,16 @@ pub(super) fn of_points(
     };
     let names = ["displayColor", "albedo", "emission", "area", "N"];
     let channels = names.iter().filter_map(|name| subject.channel(name));
-    let camera = around(&subject);
+    let camera = camera.unwrap_or_else(|| around(&subject));
     for channel in channels.filter(|channel| channel.values.iter().any(|x| *x != 0.0)) {
         let png = seen(&subject, channel, (&camera, None));
         report.shots.push(Shot::new(channel.name.clone(), png));
     }
 }
 
-/// Show the bake that the stage `file` shows, and the one in `without`.
+/// Show the bake that the stage `file` shows, and the one in `without`, as [`of_points`] does.
 pub(super) fn of_bake(
-    (job, file): (&BakeJob, &Path),
+    (job, file, camera): (&BakeJob, &Path, Option<Camera>),
     without: Option<(Aov, &Path)>,
     report: &mut Report,
     diagnostics: &Diagnostics,
@@ -145,7 +160,7 @@ pub(super) fn of_bake(
     let Some(subject) = subject(&job.stage, file, diagnostics) else {
         return;
     };
-    let camera = around(&subject);
+    let camera = camera.unwrap_or_else(|| around(&subject));
     if let Some((aov, file)) = without
         && let Some(other) = self::subject(&job.stage, file, diagnostics)
         && let Some((with, plain)) = subject.channel(aov.name()).zip(other.channel(aov.name()))

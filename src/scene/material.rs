@@ -133,6 +133,8 @@ pub struct Material {
     pub clearcoat_roughness: Input,
     /// Along the normal, stage units.
     pub displacement: Input,
+    /// Texture of normals in tangent space. Surfaces are shaded without it: it is there for other formats.
+    pub normal: Option<Box<TextureRead>>,
 }
 
 impl Default for Material {
@@ -151,12 +153,13 @@ impl Default for Material {
             clearcoat: Input::scalar(0.0),
             clearcoat_roughness: Input::scalar(0.01),
             displacement: Input::scalar(0.0),
+            normal: None,
         }
     }
 }
 
 impl Material {
-    /// All inputs with their UsdPreviewSurface names.
+    /// All inputs that surfaces are shaded with, by their UsdPreviewSurface names.
     pub fn inputs(&self) -> [(&'static str, &Input); 11] {
         [
             ("diffuseColor", &self.diffuse_color),

@@ -29,7 +29,7 @@ use super::Error;
 use crate::diagnostics::Diagnostics;
 use crate::scene::StageInfo;
 use crate::surfels::SurfelCloud;
-use crate::surfels::points::PointSet;
+use crate::surfels::points::{PointSet, first_bad};
 use crate::surfels::splats::Splats;
 use file::{Column, File};
 use glam::{DVec3, Vec3};
@@ -267,7 +267,7 @@ impl Part<'_> {
     fn floats(&self, name: &str, count: usize) -> Result<Option<Vec<f32>>, String> {
         match self.file.column(&self.prim, name)? {
             Some(Column::Floats(values)) => {
-                if let Some(index) = values.iter().position(|value| !value.is_finite()) {
+                if let Some(index) = first_bad(&values, |value| value.is_finite()) {
                     return Err(self.not_finite(name, index));
                 }
                 self.expanded(name, values, count).map(Some)
@@ -291,7 +291,7 @@ impl Part<'_> {
     }
 
     fn check_finite(&self, name: &str, values: &[Vec3]) -> Result<(), String> {
-        match values.iter().position(|value| !value.is_finite()) {
+        match first_bad(values, |value| value.is_finite()) {
             Some(index) => Err(self.not_finite(name, index)),
             None => Ok(()),
         }

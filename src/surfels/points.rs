@@ -2,6 +2,10 @@
 //! of its columns means, these are carried along as they are: to be looked at, or into another format.
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Values looked at by one thread at a time.
+const CHUNK: usize = 1 << 16;
 
 /// Points as columns of equal length; world space relative to `origin`.
 ///
@@ -137,14 +141,10 @@ impl PointSet {
             .map(|column| column.values.remove_non_finite())
             .sum();
         if let Some(radii) = &mut self.radius {
-            for radius in radii.iter_mut().filter(|radius| !radius.is_finite()) {
-                (*radius, bad) = (0.0, bad + 1);
-            }
+            bad += zeroed(radii, 0.0, |radius| radius.is_finite());
         }
         if let Some(normals) = &mut self.normal {
-            for normal in normals.iter_mut().filter(|normal| !normal.is_finite()) {
-                (*normal, bad) = (Vec3::ZERO, bad + 1);
-            }
+            bad += zeroed(normals, Vec3::ZERO, |normal| normal.is_finite());
         }
         bad
     }
@@ -153,21 +153,11 @@ impl PointSet {
 impl ColumnValues {
     /// Put 0 in place of values that are not finite; returns how many there were.
     pub fn remove_non_finite(&mut self) -> usize {
-        let mut bad = 0;
         match self {
-            Self::Floats(values) => {
-                for value in values.iter_mut().filter(|value| !value.is_finite()) {
-                    (*value, bad) = (0.0, bad + 1);
-                }
-            }
-            Self::Vectors(_, values) => {
-                for value in values.iter_mut().filter(|value| !value.is_finite()) {
-                    (*value, bad) = (Vec3::ZERO, bad + 1);
-                }
-            }
-            Self::Ints(_) => {}
+            Self::Floats(values) => zeroed(values, 0.0, |value| value.is_finite()),
+            Self::Vectors(_, values) => zeroed(values, Vec3::ZERO, |value| value.is_finite()),
+            Self::Ints(_) => 0,
         }
-        bad
     }
 
     fn zeros(&self, count: usize) -> Self {
@@ -196,6 +186,40 @@ impl ColumnValues {
         }
         true
     }
+}
+
+/// Put `zero` in place of values that are not fine; returns how many there were.
+fn zeroed<T: Copy + Send + Sync>(
+    values: &mut [T],
+    zero: T,
+    is_fine: impl Fn(&T) -> bool + Sync,
+) -> usize {
+    let in_chunk = |values: &mut [T]| {
+        // without an early end it is done many at a time
+        if values.iter().fold(true, |all, value| all & is_fine(value)) {
+            return 0;
+        }
+        let mut bad = 0;
+        for value in values.iter_mut().filter(|value| !is_fine(value)) {
+            (*value, bad) = (zero, bad + 1);
+        }
+        bad
+    };
+    values.par_chunks_mut(CHUNK).map(in_chunk).sum()
+}
+
+/// Index of the first value that is not fine.
+pub(crate) fn first_bad<T: Sync>(
+    values: &[T],
+    is_fine: impl Fn(&T) -> bool + Sync,
+) -> Option<usize> {
+    const CHUNK: usize = 1 << 14;
+    // without an early end it is done many at a time
+    let is_bad = |chunk: &[T]| !chunk.iter().fold(true, |all, value| all & is_fine(value));
+    let chunk = values.par_chunks(CHUNK).position_first(is_bad)?;
+    let start = chunk * CHUNK;
+    let within = values[start..].iter().position(|value| !is_fine(value));
+    within.map(|within| start + within)
 }
 
 fn join<T: Copy>(

@@ -128,34 +128,79 @@ impl Legend {
 
     fn pixels(&self) -> Vec<u8> {
         let line = glyphs::height(self.zoom);
+        let margin = self.margin();
+        let title = self.title_lines();
+        let top = line + 2 * line * title.len();
         let bar = if self.scale.is_some() { 3 * line } else { 0 };
-        let height = 3 * line + bar;
         let mut strip = Strip {
-            rgb: BACKGROUND.repeat(self.width * height),
+            rgb: BACKGROUND.repeat(self.width * (top + bar)),
             width: self.width,
         };
-        strip.text(&self.title, (2 * line, line), self.zoom);
+        for (k, text) in title.iter().enumerate() {
+            strip.text(text, (margin, line + 2 * line * k), self.zoom);
+        }
         if let Some((low, high)) = self.scale {
-            let (left, right) = (
-                2 * line,
-                self.width.saturating_sub(2 * line).max(2 * line + 1),
-            );
+            let (left, right) = (margin, self.width.saturating_sub(margin).max(margin + 1));
             for x in left..right.min(self.width) {
                 let at = fraction(x - left, right - left);
-                let rows = 2 * line + line / 2..3 * line + line / 2;
-                rows.for_each(|y| strip.dot(x, y, false_color(at)));
+                let rows = top - line..top;
+                rows.for_each(|y| strip.dot(x, y + line / 2, false_color(at)));
             }
-            for k in 0..=4_u8 {
-                let at = f32::from(k) / 4.0;
-                let label = number(low + (high - low) * at);
-                let tick = left + (right - left) * usize::from(k) / 4;
-                let half = glyphs::width(&label, self.zoom) / 2;
-                let most = self.width.saturating_sub(2 * half);
-                let x = tick.saturating_sub(half).min(most);
-                strip.text(&label, (x, 4 * line), self.zoom);
+            for (x, label) in self.labels((low, high), (left, right)) {
+                strip.text(&label, (x, top + line), self.zoom);
             }
         }
         strip.rgb
+    }
+
+    /// Pixels left free at both sides.
+    fn margin(&self) -> usize {
+        (2 * glyphs::height(self.zoom)).min(self.width / 8)
+    }
+
+    /// The title in as many lines as its letters need.
+    fn title_lines(&self) -> Vec<String> {
+        let room = self.width.saturating_sub(self.margin());
+        let mut lines = vec![String::new()];
+        for letter in self.title.chars() {
+            let last = lines.len() - 1;
+            let longer = format!("{}{letter}", lines[last]);
+            match glyphs::width(&longer, self.zoom) <= room || lines[last].is_empty() {
+                true => lines[last] = longer,
+                false => lines.push(letter.to_string().trim_start().to_owned()),
+            }
+        }
+        lines
+    }
+
+    /// Where each label begins, and what it says: five, three or two of them, as many as stand apart; else that of the upper
+    /// end.
+    fn labels(
+        &self,
+        (low, high): (f32, f32),
+        (left, right): (usize, usize),
+    ) -> Vec<(usize, String)> {
+        let gap = 2 * self.zoom;
+        let of = |parts: u8| -> Vec<(usize, String)> {
+            let label = |k: u8| {
+                let at = f32::from(k) / f32::from(parts);
+                let text = number(low + (high - low) * at);
+                let width = glyphs::width(&text, self.zoom);
+                let tick = left + (right - left) * usize::from(k) / usize::from(parts);
+                let most = self.width.saturating_sub(width);
+                (tick.saturating_sub(width / 2).min(most), text)
+            };
+            (0..=parts).map(label).collect()
+        };
+        let stand_apart = |labels: &[(usize, String)]| {
+            labels
+                .windows(2)
+                .all(|pair| pair[0].0 + glyphs::width(&pair[0].1, self.zoom) + gap <= pair[1].0)
+        };
+        let mut tried = [4, 2, 1].into_iter().map(of);
+        tried
+            .find(|labels| stand_apart(labels))
+            .unwrap_or_else(|| of(1).split_off(1))
     }
 }
 
@@ -317,6 +362,38 @@ mod tests {
         assert_eq!(image.dimensions(), (64, 64 + 6 * 5));
         assert_eq!(image.get_pixel(32, 32).0, MISSING);
         assert_eq!(image.get_pixel(0, 0).0, BACKGROUND);
-        assert_eq!(image.get_pixel(10, 64 + 14).0, false_color(0.5 / 44.0));
+        assert_eq!(image.get_pixel(8, 64 + 14).0, false_color(0.5 / 48.0));
+    }
+
+    #[test]
+    fn labels_are_whole_and_apart_at_any_width() {
+        for width in [24, 48, 64, 100, 240, 640, 1920] {
+            for scale in [(0.0, 1.0), (-1.2345e-7, 9.8765e-7), (0.125, 1234.5)] {
+                let legend = Legend {
+                    width,
+                    zoom: (width / 240).clamp(1, 6),
+                    title: "irradiance_indirect_key (gray: none)".to_owned(),
+                    scale: Some(scale),
+                };
+                let margin = legend.margin();
+                let labels = legend.labels(scale, (margin, width - margin));
+                let mut free = 0;
+                for (x, text) in &labels {
+                    let end = x + glyphs::width(text, legend.zoom);
+                    let is_alone = labels.len() == 1;
+                    assert!(
+                        *x >= free && (end <= width || is_alone),
+                        "{width} {labels:?}"
+                    );
+                    free = end + 1;
+                }
+                assert!(width < 64 || labels.len() > 1, "{width} {labels:?}");
+                let lines = legend.title_lines();
+                let fits = |line: &String| margin + glyphs::width(line, legend.zoom) <= width;
+                assert!(lines.iter().all(fits), "{width} {lines:?}");
+                let letters = |text: &str| text.replace(' ', "");
+                assert_eq!(letters(&lines.concat()), letters(&legend.title));
+            }
+        }
     }
 }

@@ -22,7 +22,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// What the system, or `fill`, says.
 pub fn write_streamed(
     path: &Path,
-    fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    fill: impl FnOnce(&mut (dyn Write + Send)) -> io::Result<()>,
 ) -> io::Result<()> {
     let file = temporary_beside(path)?;
     let mut out = io::BufWriter::with_capacity(1 << 20, file);

@@ -3,6 +3,7 @@
 mod blender;
 mod glb;
 mod gltf;
+mod las;
 mod ply;
 mod ptc;
 mod skins;

@@ -5,17 +5,13 @@ use super::header::Header;
 use super::table::Table;
 use crate::diagnostics::Diagnostics;
 use crate::exchange::srgb::Srgb;
-use crate::exchange::{Error, malformed, read_file};
+use crate::exchange::{Error, malformed, not_finite, read_file, single_precision};
 use crate::math::srgb;
 use crate::scene::UpAxis;
-use crate::surfels::points::{Column, ColumnValues, PointSet, VectorKind};
+use crate::surfels::points::{Column, ColumnValues, PointSet, VectorKind, first_bad};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::path::Path;
-
-/// Coordinates of double precision beyond this are kept relative to an origin: single precision has steps of 5e-4
-/// there.
-const FAR: f64 = 4096.0;
 
 /// The points of the file at `path`, and its up axis and meters a unit where a comment of ours says them. Faces and what
 /// else is in it are lost, with a warning. Values that are not finite count as 0, with a warning.
@@ -104,36 +100,17 @@ fn points(table: &Table<'_>) -> Result<PointSet, String> {
 
 /// Single precision relative to an origin; the origin is 0 unless doubles lie far off it.
 fn positions(table: &Table<'_>, columns: [usize; 3]) -> Result<(DVec3, Vec<Vec3>), String> {
-    let wrong = |at: usize| format!("the position of point {at} is not finite");
     let is_double = columns
         .iter()
         .all(|&column| table.columns[column].1.size() == 8);
     if !is_double {
         let position = table.vectors(columns);
-        return match position.par_iter().position_first(|p| !p.is_finite()) {
-            Some(at) => Err(wrong(at)),
+        return match first_bad(&position, |p| p.is_finite()) {
+            Some(at) => Err(not_finite(at)),
             None => Ok((DVec3::ZERO, position)),
         };
     }
-    let absolute = table.double_vectors(columns);
-    if let Some(at) = absolute.iter().position(|p| !p.as_vec3().is_finite()) {
-        return Err(wrong(at));
-    }
-    let bounds = |f: fn(DVec3, DVec3) -> DVec3| absolute.iter().copied().reduce(f);
-    let (low, high) = (
-        bounds(DVec3::min).unwrap_or_default(),
-        bounds(DVec3::max).unwrap_or_default(),
-    );
-    let is_far = low.abs().max(high.abs()).max_element() > FAR;
-    let origin = if is_far {
-        (0.5 * (low + high)).round()
-    } else {
-        DVec3::ZERO
-    };
-    Ok((
-        origin,
-        absolute.iter().map(|p| (*p - origin).as_vec3()).collect(),
-    ))
+    single_precision(&table.double_vectors(columns))
 }
 
 impl Taken<'_> {

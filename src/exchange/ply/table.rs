@@ -136,13 +136,11 @@ impl<'a> Table<'a> {
                 .iter()
                 .all(|&column| self.columns[column].1 == Scalar::F32)
         {
-            let starts = columns.map(|column| starts[column]);
-            let read =
-                |row: &[u8]| {
-                    Vec3::from_array(starts.map(|at| {
-                        f32::from_le_bytes([row[at], row[at + 1], row[at + 2], row[at + 3]])
-                    }))
-                };
+            let [x, y, z] = columns.map(|column| starts[column]);
+            let float = |row: &[u8], at: usize| {
+                f32::from_le_bytes([row[at], row[at + 1], row[at + 2], row[at + 3]])
+            };
+            let read = |row: &[u8]| Vec3::new(float(row, x), float(row, y), float(row, z));
             return rows.par_chunks_exact(*stride).map(read).collect();
         }
         let [x, y, z] = columns.map(|column| self.floats(column));

@@ -158,24 +158,29 @@ fn rows(
     fields: &[Field<'_>],
     count: usize,
     encoding: Encoding,
-    out: &mut dyn Write,
+    out: &mut (dyn Write + Send),
 ) -> io::Result<()> {
     let srgb = Srgb::new();
-    let chunks = count.div_ceil(CHUNK);
-    for first in (0..chunks).step_by(CHUNKS) {
-        let block: Vec<Vec<u8>> = (first..chunks.min(first + CHUNKS))
-            .into_par_iter()
-            .map(|chunk| {
-                let rows = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
-                match encoding {
-                    Encoding::Ascii => text(fields, rows, &srgb),
-                    _ => binary(fields, rows, (&srgb, encoding == Encoding::BinaryBig)),
-                }
-            })
-            .collect();
-        for bytes in block {
-            out.write_all(&bytes)?;
-        }
+    let fill = |first: usize, buffers: &mut [Vec<u8>]| {
+        let fill = |(k, bytes): (usize, &mut Vec<u8>)| {
+            let start = count.min((first + k) * CHUNK);
+            let rows = start..count.min(start + CHUNK);
+            match encoding {
+                Encoding::Ascii => text(fields, rows, (&srgb, bytes)),
+                Encoding::Binary => binary::<false>(fields, rows, (&srgb, bytes)),
+                Encoding::BinaryBig => binary::<true>(fields, rows, (&srgb, bytes)),
+            }
+        };
+        buffers.par_iter_mut().enumerate().for_each(fill);
+    };
+    // one lot is written while the next is filled; their memory is used again, for new memory costs more than the work
+    let (mut ready, mut next) = (vec![Vec::new(); CHUNKS], vec![Vec::new(); CHUNKS]);
+    fill(0, &mut ready);
+    for first in (0..count.div_ceil(CHUNK)).step_by(CHUNKS) {
+        let write = || ready.iter().try_for_each(|bytes| out.write_all(bytes));
+        let (written, ()) = rayon::join(write, || fill(first + CHUNKS, &mut next));
+        written?;
+        std::mem::swap(&mut ready, &mut next);
     }
     Ok(())
 }
@@ -194,13 +199,13 @@ impl Cells<'_> {
     }
 }
 
-fn binary(
+fn binary<const IS_BIG: bool>(
     fields: &[Field<'_>],
     rows: std::ops::Range<usize>,
-    (srgb, is_big): (&Srgb, bool),
-) -> Vec<u8> {
+    (srgb, bytes): (&Srgb, &mut Vec<u8>),
+) {
     let stride: usize = fields.iter().map(|field| field.cells.size()).sum();
-    let mut bytes = vec![0; stride * rows.len()];
+    bytes.resize(stride * rows.len(), 0);
     let mut start = 0;
     for field in fields {
         macro_rules! fill {
@@ -208,7 +213,7 @@ fn binary(
                 let value = $value;
                 for (row, i) in bytes.chunks_exact_mut(stride).zip(rows.clone()) {
                     let number = value(i);
-                    let number = if is_big {
+                    let number = if IS_BIG {
                         number.to_be_bytes()
                     } else {
                         number.to_le_bytes()
@@ -226,11 +231,11 @@ fn binary(
         }
         start += field.cells.size();
     }
-    bytes
 }
 
 /// Shortest digits that read back as the same number.
-fn text(fields: &[Field<'_>], rows: std::ops::Range<usize>, srgb: &Srgb) -> Vec<u8> {
+fn text(fields: &[Field<'_>], rows: std::ops::Range<usize>, (srgb, bytes): (&Srgb, &mut Vec<u8>)) {
+    bytes.clear();
     let mut text = String::new();
     for i in rows {
         for (k, field) in fields.iter().enumerate() {
@@ -248,5 +253,5 @@ fn text(fields: &[Field<'_>], rows: std::ops::Range<usize>, srgb: &Srgb) -> Vec<
         }
         text.push('\n');
     }
-    text.into_bytes()
+    bytes.extend_from_slice(text.as_bytes());
 }

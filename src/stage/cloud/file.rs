@@ -1,10 +1,11 @@
 //! One USD layer, read without composition: what a cloud is made of.
 
+use crate::files::Bytes;
 use crate::stage::{Error, native};
 use glam::Vec3;
 use openusd::sdf::{AbstractData, Path, SpecType, Value};
 use openusd::{usda, usdc};
-use std::io::BufReader;
+use std::io::Cursor;
 use std::thread;
 
 /// Fields that bring in opinions from elsewhere.
@@ -47,8 +48,8 @@ pub(in crate::stage) fn on_layer<T: Send>(
         path: path.to_owned(),
         source,
     };
-    let bytes = std::fs::read(path).map_err(unreadable)?;
-    let read = || work(&File::open(path, bytes)?);
+    let bytes = Bytes::of(path).map_err(unreadable)?;
+    let read = || work(&File::open(bytes)?);
     let ended = thread::scope(|scope| {
         let reader = thread::Builder::new()
             .name(native::THREAD_NAME.to_owned())
@@ -62,17 +63,15 @@ pub(in crate::stage) fn on_layer<T: Send>(
 }
 
 impl File {
-    /// The layer whose file `path` has the content `bytes`, binary or text. Binary layers are read from the file piece
-    /// by piece, so that their arrays are in memory once.
-    fn open(path: &std::path::Path, bytes: Vec<u8>) -> Result<Self, String> {
-        match native::checked_layer(bytes)? {
+    /// The layer whose file has the content `bytes`, binary or text.
+    fn open(bytes: Bytes) -> Result<Self, String> {
+        match native::checked_layer(&bytes)? {
             Some(text) => {
                 let data = usda::parse(&text).map_err(|error| format!("{error:#}"))?;
                 Ok(Self(Box::new(data)))
             }
             None => {
-                let file = std::fs::File::open(path).map_err(|error| error.to_string())?;
-                let data = usdc::CrateData::open(BufReader::new(file), true);
+                let data = usdc::CrateData::open(Cursor::new(bytes), true);
                 Ok(Self(Box::new(data.map_err(|error| format!("{error:#}"))?)))
             }
         }

@@ -134,6 +134,11 @@ impl Placement {
         }
     }
 
+    /// True if everything stays as it is.
+    pub(super) fn is_identity(&self) -> bool {
+        self.affine == DAffine3::IDENTITY
+    }
+
     pub(super) fn position(&self, position: glam::Vec3) -> glam::Vec3 {
         self.affine.transform_point3(position.as_dvec3()).as_vec3()
     }

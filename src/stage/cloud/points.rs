@@ -9,6 +9,7 @@ use crate::stage::Error;
 use crate::surfels::points::{Column, ColumnValues, PointSet, VectorKind};
 use glam::{DVec3, Vec3};
 use openusd::sdf::{Path as SdfPath, Value};
+use rayon::prelude::*;
 use std::path::Path;
 
 /// Attributes that have a place of their own, or would hold a radius twice.
@@ -113,13 +114,13 @@ impl Part<'_> {
         for name in ["normals", "primvars:normals", "primvars:N"] {
             if let Some(Values::Vectors(normals)) = self.file.column(&self.prim, name)? {
                 let mut normals = self.expanded(name, normals, count)?;
-                for normal in &mut normals {
+                normals.par_iter_mut().for_each(|normal| {
                     *normal = if normal.is_finite() {
                         unit(*normal)
                     } else {
                         Vec3::ZERO
                     };
-                }
+                });
                 return Ok(Some(normals));
             }
         }
@@ -128,24 +129,34 @@ impl Part<'_> {
 
     /// `primvars:radius` as Blender has it, else half of `widths`.
     fn radii(&self, count: usize) -> Result<Option<Vec<f32>>, String> {
-        if let Some(radius) = self.floats("primvars:radius", count)? {
-            return Ok(Some(radius.iter().map(|radius| radius.max(0.0)).collect()));
+        let named = |name, factor: f32| -> Result<Option<Vec<f32>>, String> {
+            let mut sizes = self.floats(name, count)?;
+            if let Some(sizes) = &mut sizes {
+                let radius = |size: &mut f32| *size = factor * size.max(0.0);
+                sizes.par_iter_mut().for_each(radius);
+            }
+            Ok(sizes)
+        };
+        match named("primvars:radius", 1.0)? {
+            Some(radii) => Ok(Some(radii)),
+            None => named("widths", 0.5),
         }
-        let widths = self.floats("widths", count)?;
-        Ok(widths.map(|widths| widths.iter().map(|width| 0.5 * width.max(0.0)).collect()))
     }
 
     fn place_points(&self, set: &mut PointSet) -> Result<(), String> {
         let world = placement::world_from_prim(self.file, &self.prim)?;
         let placement = Placement::new(world, set.origin);
-        for position in &mut set.position {
-            *position = placement.position(*position);
+        if placement.is_identity() {
+            return Ok(());
         }
+        set.position.par_iter_mut().for_each(|position| {
+            *position = placement.position(*position);
+        });
         self.check_finite("points", &set.position)?;
         if let Some(normals) = &mut set.normal {
-            for normal in normals.iter_mut() {
+            normals.par_iter_mut().for_each(|normal| {
                 *normal = placement.normal_and_growth(*normal).0;
-            }
+            });
         }
         #[expect(
             clippy::cast_possible_truncation,

@@ -364,7 +364,7 @@ impl LayerFiles {
             if let Ok(data) = CrateData::open(Cursor::new(&bytes), true) {
                 known.add(path, &data, &anchored);
             }
-        } else if let Ok(Some(text)) = super::checked_layer(bytes)
+        } else if let Ok(Some(text)) = super::checked_layer(&bytes)
             && let Ok(data) = openusd::usda::parse(&text)
         {
             known.add(path, &data, &anchored);

@@ -176,13 +176,13 @@ impl Source for NativeSource {
 ///
 /// # Errors
 /// What is damaged.
-pub(super) fn checked_layer(bytes: Vec<u8>) -> Result<Option<String>, String> {
+pub(super) fn checked_layer(bytes: &[u8]) -> Result<Option<String>, String> {
     if bytes.starts_with(layer_files::CRATE_MAGIC) {
-        return crate_check::check(&bytes).map(|_| None);
+        return crate_check::check(bytes).map(|_| None);
     }
-    let text = String::from_utf8(bytes).map_err(|_| "neither binary nor text USD".to_owned())?;
-    let repaired = text::repaired(&text)?;
-    Ok(Some(repaired.unwrap_or(text)))
+    let text = std::str::from_utf8(bytes).map_err(|_| "neither binary nor text USD".to_owned())?;
+    let repaired = text::repaired(text)?;
+    Ok(Some(repaired.unwrap_or_else(|| text.to_owned())))
 }
 
 fn serve(root: &Path, orders: &Receiver<Job>, pulse: &Arc<Pulse>) {

@@ -299,7 +299,6 @@ fn id(value: f32) -> u32 {
 mod tests {
     use super::*;
     use std::path::PathBuf;
-    use std::process::Command;
 
     fn image(aov: Aov, value: impl Fn(usize, usize) -> f32) -> AovImage {
         let (width, height) = (5, 3);
@@ -358,97 +357,6 @@ mod tests {
         let path = folder.path().join("out.exr");
         write_exr(&path, &images(), &info(), layout).unwrap();
         (folder, path)
-    }
-
-    /// Run `script` on `path` where the environment names a Python with OpenEXR and OpenImageIO.
-    #[expect(clippy::print_stderr, reason = "a skipped test says so")]
-    fn check_in_python(path: &Path, script: &str) {
-        let Some(python) = std::env::var_os("SURFLUX_TEST_PYTHON") else {
-            eprintln!("skipped: SURFLUX_TEST_PYTHON names no Python with OpenEXR and OpenImageIO");
-            return;
-        };
-        let output = Command::new(python)
-            .args(["-c", script])
-            .arg(path)
-            .output()
-            .unwrap();
-        let message = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{message}");
-    }
-
-    #[test]
-    fn one_part_reads_in_openexr_with_the_types_values_and_headers_of_the_contract() {
-        let (_folder, path) = written(ExrLayout::SinglePart);
-        check_in_python(
-            &path,
-            r#"
-import sys, numpy as np, OpenEXR
-file = OpenEXR.File(sys.argv[1], separate_channels=True)
-assert len(file.parts) == 1
-header, channels = file.header(), file.channels()
-kinds = {name: str(c.pixels.dtype) for name, c in channels.items()}
-expected = {n: "float16" for n in ["R", "G", "B", "A", "diffuse_indirect.R", "diffuse_indirect.G", "diffuse_indirect.B"]}
-expected |= {n: "float32" for n in ["occlusion.Y", "depth.Z", "N.X", "N.Y", "N.Z"] + [f"visibility_sh{k}.Y" for k in range(9)] + [f"radiance_sh{k}.{c}" for k in range(9) for c in "RGB"]} | {"primId.id": "uint32"}
-assert kinds == expected, kinds
-pixel = np.arange(15).reshape(3, 5)
-get = lambda name: channels[name].pixels
-assert get("R")[0, 0] == 65504 and (get("G").ravel()[1:] == pixel.ravel()[1:] + 0.25).all()
-assert (get("diffuse_indirect.B") == 0.5 * pixel + 2).all()
-assert (get("occlusion.Y") == (pixel / np.float32(3)).astype("f4")).all()
-assert get("depth.Z")[0, 0] == np.float32(1e10) and get("N.Z")[1, 1] == np.float32(0.8)
-assert all((get(f"visibility_sh{k}.Y") == pixel - k).all() for k in range(9))
-assert all((get(f"radiance_sh{k}.{c}") == pixel - 100.5 * (3 * k + i)).all() for k in range(9) for i, c in enumerate("RGB"))
-assert get("primId.id")[0, 0] == 0xFFFFFFFF and get("primId.id")[2, 4] == 13
-assert header["compression"] == OpenEXR.ZIP_COMPRESSION, header["compression"]
-assert header["pixelAspectRatio"] == 2
-assert np.allclose(header["chromaticities"], (.64, .33, .30, .60, .15, .06, .3127, .3290))
-assert (np.array(header["worldToCamera"]).reshape(4, 4)[3] == [1, 2, 3, 1]).all()
-assert (np.diag(np.array(header["worldToNDC"]).reshape(4, 4)) == [4, 5, 6, 1]).all()
-rate = header["framesPerSecond"]
-assert str(rate).replace(" ", "") in ("24000/1001", "(24000,1001)") or (rate.n, rate.d) == (24000, 1001), rate
-assert header["software"] == "surflux test" and header["usd/stage"] == "/scènes/a.usda"
-assert header["surflux/command"] == "surflux render a.usda" and header["colorInteropID"] == "lin_rec709_scene"
-assert tuple(header["dataWindow"][1]) == (4, 2) and tuple(header["displayWindow"][1]) == (4, 2)
-"#,
-        );
-    }
-
-    #[test]
-    fn openimageio_finds_formats_and_alpha() {
-        let (_folder, path) = written(ExrLayout::SinglePart);
-        check_in_python(
-            &path,
-            r#"
-import sys, OpenImageIO as oiio
-file = oiio.ImageInput.open(sys.argv[1])
-spec = file.spec()
-assert spec.nchannels == 49 and list(spec.channelnames[:4]) == ["R", "G", "B", "A"], spec.channelnames
-assert spec.alpha_channel == 3
-formats = {n: str(spec.channelformat(i)) for i, n in enumerate(spec.channelnames)}
-assert formats["R"] == "half" and formats["N.X"] == "float" and formats["primId.id"] == "uint"
-assert not file.seek_subimage(1, 0)
-"#,
-        );
-    }
-
-    #[test]
-    fn several_parts_are_named_like_their_aovs() {
-        let (_folder, path) = written(ExrLayout::MultiPart);
-        check_in_python(
-            &path,
-            r#"
-import sys, OpenEXR, OpenImageIO as oiio
-file = OpenEXR.File(sys.argv[1], separate_channels=True)
-names = [part.header["name"] for part in file.parts]
-assert names == ["color", "diffuse_indirect", "occlusion", "depth", "N", "primId", "visibility_sh", "radiance_sh"], names
-ids = [part.header["colorInteropID"] for part in file.parts]
-assert ids == ["lin_rec709_scene"] * 2 + ["data"] * 6, ids
-assert sorted(file.parts[4].channels) == ["N.X", "N.Y", "N.Z"] and sorted(file.parts[0].channels) == ["A", "B", "G", "R"]
-assert file.parts[5].channels["primId.id"].pixels[2, 4] == 13
-image = oiio.ImageInput.open(sys.argv[1])
-assert image.seek_subimage(5, 0) and image.spec().getattribute("oiio:subimagename") == "primId"
-"#,
-        );
     }
 
     #[test]

@@ -265,7 +265,7 @@ impl Author {
     /// # Errors
     /// When the file cannot be written; nothing is left behind then.
     pub fn save(self, path: &Path) -> Result<(), Error> {
-        save(&self.layer.finish(), path)
+        save(self.layer, path)
     }
 
     fn declare(

@@ -38,7 +38,7 @@ pub(super) fn write(
             bind(&mut layer, prim, &material)?;
         }
     }
-    save(&layer.finish(), &path)?;
+    save(layer, &path)?;
     Ok(path)
 }
 

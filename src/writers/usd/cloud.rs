@@ -7,7 +7,8 @@
 //! `normals` is what renderers read, `primvars:N` the copy that Blender keeps. `displayColor` is radiosity / π: the
 //! radiance a viewer would see. Every interpolation is authored, for lack of it means `constant` to some readers.
 
-use super::opinions::{Declaration, Opinions};
+use super::opinions::{Array, Declaration, Opinions};
+use super::points::{author, author_arrays};
 use super::{Error, Provenance, author_metadata, save};
 use crate::scene::StageInfo;
 use crate::surfels::SurfelCloud;
@@ -15,6 +16,7 @@ use glam::Vec3;
 use openusd::gf;
 use openusd::sdf::{FieldKey, Path as SdfPath, TokenListOp, Value};
 use openusd::tf::Token;
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
@@ -49,7 +51,7 @@ pub fn write(
     let surfels = layer.define("/root/surfels", "Points")?;
     author_about(&mut layer, &surfels, cloud, (scene_stage, options))?;
     author_columns(&mut layer, &surfels, cloud)?;
-    save(&layer.finish(), path)
+    save(layer, path)
 }
 
 /// `/root`, moved to `origin`.
@@ -107,53 +109,69 @@ fn author_columns(
     surfels: &SdfPath,
     cloud: &SurfelCloud,
 ) -> Result<(), Error> {
-    let display = vectors(cloud.radiosity.iter().map(|&b| b * FRAC_1_PI).collect());
+    let display = cloud.radiosity.iter().map(|&b| b * FRAC_1_PI).collect();
     let widths = cloud.radius.iter().map(|radius| 2.0 * radius).collect();
     let sources = cloud.prim.iter();
     let sources = sources.map(|&prim| i32::try_from(prim).unwrap_or(i32::MAX));
-    let mut author = |name, type_name, value| {
-        let is_plain = matches!(name, "extent" | "points");
-        let declaration = Declaration {
-            name,
-            type_name,
-            interpolation: (!is_plain).then_some("vertex"),
-        };
-        let attribute = layer.attribute(surfels, declaration)?;
-        layer.set(&attribute, FieldKey::Default, value);
-        Ok(())
-    };
-    let normals = || vectors(cloud.normal.clone());
-    author("extent", "float3[]", extent(&cloud.position, &cloud.radius))?;
-    author("points", "point3f[]", vectors(cloud.position.clone()))?;
-    author("widths", "float[]", Value::FloatVec(widths))?;
-    author("normals", "normal3f[]", normals())?;
-    author("primvars:N", "normal3f[]", normals())?;
-    author("primvars:displayColor", "color3f[]", display)?;
-    let radiosity = vectors(cloud.radiosity.clone());
-    author("primvars:radiosity", "color3f[]", radiosity)?;
-    let albedo = vectors(cloud.albedo.clone());
-    author("primvars:albedo", "color3f[]", albedo)?;
-    let emission = vectors(cloud.emission.clone());
-    author("primvars:emission", "color3f[]", emission)?;
-    let area = Value::FloatVec(cloud.area.clone());
-    author("primvars:area", "float[]", area)?;
+    let extent = extent(&cloud.position, &cloud.radius);
+    author(layer, surfels, ("extent", "float3[]"), extent)?;
+    let vectors = |values: &[Vec3]| Array::Vectors(values.to_vec());
+    let columns: [(&[&str], _, _); 8] = [
+        (&["points"], "point3f[]", vectors(&cloud.position)),
+        (&["widths"], "float[]", Array::Floats(widths)),
+        (
+            &["normals", "primvars:N"],
+            "normal3f[]",
+            vectors(&cloud.normal),
+        ),
+        (
+            &["primvars:displayColor"],
+            "color3f[]",
+            Array::Vectors(display),
+        ),
+        (
+            &["primvars:radiosity"],
+            "color3f[]",
+            vectors(&cloud.radiosity),
+        ),
+        (&["primvars:albedo"], "color3f[]", vectors(&cloud.albedo)),
+        (
+            &["primvars:emission"],
+            "color3f[]",
+            vectors(&cloud.emission),
+        ),
+        (
+            &["primvars:area"],
+            "float[]",
+            Array::Floats(cloud.area.clone()),
+        ),
+    ];
+    for (names, type_name, array) in columns {
+        author_arrays(layer, surfels, (names, type_name), array)?;
+    }
     let sources = Value::IntVec(sources.collect());
-    author("primvars:sourcePrim", "int[]", sources)
+    author(layer, surfels, ("primvars:sourcePrim", "int[]"), sources)
 }
 
 /// Bounds of all disks taken as spheres, as USD's own `ComputeExtent` has it; a point at 0 for none. Radii that are
 /// missing are 0.
 pub(super) fn extent(position: &[Vec3], radius: &[f32]) -> Value {
-    let radii = radius.iter().copied().chain(std::iter::repeat(0.0));
-    let mut spheres = position.iter().zip(radii);
-    let around = |(&center, radius): (&Vec3, f32)| (center - radius, center + radius);
-    let first = spheres.next().map_or((Vec3::ZERO, Vec3::ZERO), around);
-    let (low, high) = spheres
-        .map(around)
-        .fold(first, |all, one| (all.0.min(one.0), all.1.max(one.1)));
-    vectors(vec![low, high])
+    const CHUNK: usize = 1 << 16;
+    let of_chunk = |(chunk, position): (usize, &[Vec3])| {
+        let radii = radius.get(chunk * CHUNK..).unwrap_or_default();
+        let radii = radii.iter().copied().chain(std::iter::repeat(0.0));
+        let spheres = position.iter().zip(radii);
+        spheres
+            .map(|(&center, radius)| (center - radius, center + radius))
+            .reduce(both)
+    };
+    let chunks = position.par_chunks(CHUNK).enumerate();
+    let bounds = chunks.filter_map(of_chunk).reduce_with(both);
+    let (low, high) = bounds.unwrap_or_default();
+    let bounds = [low, high].map(|corner| gf::Vec3f::from(corner.to_array()));
+    Value::Vec3fVec(bounds.to_vec())
 }
 
-fn vectors(values: Vec<Vec3>) -> Value {
-    Value::Vec3fVec(bytemuck::cast_vec(values))
+fn both(a: (Vec3, Vec3), b: (Vec3, Vec3)) -> (Vec3, Vec3) {
+    (a.0.min(b.0), a.1.max(b.1))
 }

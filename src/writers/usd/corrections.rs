@@ -8,8 +8,12 @@
 //! compression. Such arrays are appended plainly. (Arrays inside time samples are not looked at: none of ours holds
 //! integers.)
 //!
+//! It copies every array before it writes it. Those of clouds are kept from it: it writes two numbers for each
+//! ([`super::opinions`]), and the arrays are appended, each once however many attributes have it.
+//!
 //! Layout of the file: `pxr/usd/sdf/crateFile.h` of OpenUSD. All numbers are little-endian.
 
+use super::opinions::{Array, PLACE};
 use anyhow::{Context, bail};
 use std::io::{Read, Seek, SeekFrom, Write};
 
@@ -27,12 +31,22 @@ const TOKEN_ARRAY: u64 = 1 << 15 | 11;
 const TOKEN_VECTOR: u64 = 41;
 const INT_ARRAY: u64 = 1 << 15 | 3;
 const PACKED_INT_ARRAY: u64 = INT_ARRAY | 1 << 13;
+const INT64_ARRAY: u64 = 1 << 15 | 5;
+const FLOAT_ARRAY: u64 = 1 << 15 | 8;
+const VECTOR_ARRAY: u64 = 1 << 15 | 24;
+
+/// Arrays begin at multiples of this, bytes: Pixar's reader maps them where they are then.
+const ALIGNMENT: u64 = 8;
 
 /// Arrays shorter than this are never compressed.
 const SHORTEST_PACKED: usize = 16;
 
 /// Give every list of children in `file` (a whole crate file) its right type.
-pub(super) fn correct(file: &mut (impl Read + Write + Seek)) -> anyhow::Result<()> {
+/// Put `arrays` where two numbers stand for them.
+pub(super) fn correct(
+    file: &mut (impl Read + Write + Seek),
+    arrays: &[Array],
+) -> anyhow::Result<()> {
     let contents_offset = read_u64_at(file, CONTENTS_AT)?;
     let mut contents = read_contents(file, contents_offset)?;
     let tokens = section(file, &contents, "TOKENS")?;
@@ -40,6 +54,7 @@ pub(super) fn correct(file: &mut (impl Read + Write + Seek)) -> anyhow::Result<(
     let mut fields = Fields::read(&fields)?;
     fields.correct_children(&tokens)?;
     fields.unpack_short_arrays(file)?;
+    fields.place_arrays(file, arrays)?;
     let corrected = fields.write();
 
     let start = file.seek(SeekFrom::End(0))?;
@@ -112,6 +127,30 @@ impl Fields {
         Ok(())
     }
 
+    fn place_arrays(
+        &mut self,
+        file: &mut (impl Read + Write + Seek),
+        arrays: &[Array],
+    ) -> anyhow::Result<()> {
+        let mut written = vec![None; arrays.len()];
+        for value in &mut self.values {
+            if *value >> TYPE_SHIFT != INT64_ARRAY
+                || read_u64_at(file, offset_of(*value))? != 2
+                || read_u64(file)? != PLACE.cast_unsigned()
+            {
+                continue;
+            }
+            let index = usize::try_from(read_u64(file)?)?;
+            let array = arrays.get(index).context("an array is missing")?;
+            *value = match written[index] {
+                Some(value) => value,
+                None => append(file, array)?,
+            };
+            written[index] = Some(*value);
+        }
+        Ok(())
+    }
+
     fn write(&self) -> Vec<u8> {
         let values: Vec<u8> = self.values.iter().flat_map(|v| v.to_le_bytes()).collect();
         // a zero first: one chunk, not several
@@ -124,6 +163,20 @@ impl Fields {
         }
         section
     }
+}
+
+/// Write `array` at the end of the file; its representation.
+fn append(file: &mut (impl Write + Seek), array: &Array) -> anyhow::Result<u64> {
+    let end = file.seek(SeekFrom::End(0))?;
+    let start = end.next_multiple_of(ALIGNMENT);
+    file.write_all(&[0; 8][..usize::try_from(start - end)?])?;
+    file.write_all(&(array.len() as u64).to_le_bytes())?;
+    file.write_all(array.bytes())?;
+    let kind = match array {
+        Array::Floats(_) => FLOAT_ARRAY,
+        Array::Vectors(_) => VECTOR_ARRAY,
+    };
+    Ok(kind << TYPE_SHIFT | start)
 }
 
 fn offset_of(representation: u64) -> u64 {

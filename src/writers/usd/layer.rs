@@ -130,7 +130,7 @@ impl LayerWriter {
         for (path, primvars) in self.prims {
             author_prim(&mut layer, &path, primvars)?;
         }
-        save(&layer.finish(), path)?;
+        save(layer, path)?;
         let shown = if shows { paths } else { Vec::new() };
         let beside = baked::write(&stage, path, &shown, &self.options.provenance)?;
         Ok(vec![path.to_owned(), beside])

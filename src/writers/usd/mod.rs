@@ -19,6 +19,7 @@ use crate::scene::{StageInfo, UpAxis};
 use crate::writers::whole::temporary_beside;
 use openusd::sdf::{self, FieldKey, Value};
 use openusd::{usda, usdc};
+use opinions::Opinions;
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
@@ -97,7 +98,7 @@ impl Provenance {
 }
 
 /// Author what every layer of ours says of itself: axis, units, time codes, provenance.
-fn author_metadata(layer: &mut opinions::Opinions, stage: &StageInfo, provenance: &Provenance) {
+fn author_metadata(layer: &mut Opinions, stage: &StageInfo, provenance: &Provenance) {
     let up_axis = match stage.up_axis {
         UpAxis::Y => "Y",
         UpAxis::Z => "Z",
@@ -117,8 +118,8 @@ fn author_metadata(layer: &mut opinions::Opinions, stage: &StageInfo, provenance
     );
 }
 
-/// Write `data` under a temporary name beside `path`, then rename it.
-fn save(data: &sdf::Data, path: &Path) -> Result<(), Error> {
+/// Write `layer` under a temporary name beside `path`, then rename it.
+fn save(layer: Opinions, path: &Path) -> Result<(), Error> {
     let unwritable = |source: io::Error| Error::Unwritable {
         path: path.to_owned(),
         source,
@@ -134,8 +135,8 @@ fn save(data: &sdf::Data, path: &Path) -> Result<(), Error> {
     };
     let mut file = temporary_beside(path).map_err(unwritable)?;
     let written = match is_text {
-        true => write_text(data, file.as_file_mut()),
-        false => write_crate(data, file.as_file_mut()),
+        true => write_text(&layer.finish(), file.as_file_mut()),
+        false => write_crate(layer, file.as_file_mut()),
     };
     written.map_err(|error| match error.downcast::<io::Error>() {
         Ok(source) => unwritable(source),
@@ -165,17 +166,18 @@ fn write_text(data: &sdf::Data, file: &mut File) -> anyhow::Result<()> {
     Ok(out.flush()?)
 }
 
-fn write_crate(data: &sdf::Data, file: &mut File) -> anyhow::Result<()> {
+fn write_crate(layer: Opinions, file: &mut File) -> anyhow::Result<()> {
     /// Offset of the three version bytes in a crate file's header.
     const VERSION_OFFSET: u64 = 8;
     /// The crate always says 0.12.0, which USD before 24.11 refuses; nothing written here needs more than 0.8.0
     /// (0.9 brought time code values, 0.10 path expressions, 0.11 relocates, 0.12 splines).
     const VERSION: [u8; 3] = [0, 8, 0];
+    let (data, arrays) = layer.finish_apart();
     let mut out = BufWriter::with_capacity(BUFFER, &mut *file);
-    usdc::CrateWriter::write(data, &mut out)?;
+    usdc::CrateWriter::write(&data, &mut out)?;
     out.flush()?;
     drop(out);
     file.seek(SeekFrom::Start(VERSION_OFFSET))?;
     file.write_all(&VERSION)?;
-    corrections::correct(file)
+    corrections::correct(file, &arrays)
 }

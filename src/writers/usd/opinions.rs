@@ -1,6 +1,7 @@
 //! A layer being made: prims and attributes in authored order, in time proportional to their number.
 
 use super::Error;
+use glam::Vec3;
 use openusd::sdf::{
     AbstractData, ChildrenKey, Data, FieldKey, Path, SpecType, Specifier, Value, Variability,
 };
@@ -14,7 +15,18 @@ pub(super) struct Opinions {
     /// Names of the child prims, and of the properties, of each path.
     prims: HashMap<Path, Vec<Token>>,
     properties: HashMap<Path, Vec<Token>>,
+    arrays: Vec<(Vec<Path>, Array)>,
 }
+
+/// Values of which there may be many.
+#[derive(Debug)]
+pub(super) enum Array {
+    Floats(Vec<f32>),
+    Vectors(Vec<Vec3>),
+}
+
+/// First of the two numbers that stand for an array, which the second counts: no number that anybody would write.
+pub(super) const PLACE: i64 = 0x5a7f_10c5_e7a6_0000;
 
 /// How an attribute is declared.
 #[derive(Debug, Clone, Copy)]
@@ -35,6 +47,7 @@ impl Opinions {
             data,
             prims: HashMap::new(),
             properties: HashMap::new(),
+            arrays: Vec::new(),
         }
     }
 
@@ -81,6 +94,15 @@ impl Opinions {
     /// Set a field of an existing prim, property or the layer itself (`/`).
     pub(super) fn set(&mut self, path: &Path, field: impl AsRef<str>, value: Value) {
         self.data.set_field(path, field.as_ref(), value);
+    }
+
+    /// Set the value that all `attributes` have: it is in memory once, and in a binary file too.
+    pub(super) fn set_array(&mut self, attributes: Vec<Path>, array: Array) {
+        let index = i64::try_from(self.arrays.len()).expect("fewer than 2^63 arrays");
+        for path in &attributes {
+            self.set(path, FieldKey::Default, Value::Int64Vec(vec![PLACE, index]));
+        }
+        self.arrays.push((attributes, array));
     }
 
     /// Declare an attribute on `prim`, without a value yet.
@@ -139,8 +161,19 @@ impl Opinions {
         Ok(path)
     }
 
-    /// The finished layer.
+    /// The finished layer as text has it, arrays where they belong.
     pub(super) fn finish(mut self) -> Data {
+        for (paths, array) in std::mem::take(&mut self.arrays) {
+            let value = array.into_value();
+            for path in &paths {
+                self.set(path, FieldKey::Default, value.clone());
+            }
+        }
+        self.finish_apart().0
+    }
+
+    /// The finished layer with two numbers in place of each array ([`PLACE`]), and the arrays.
+    pub(super) fn finish_apart(mut self) -> (Data, Vec<Array>) {
         for (children, key) in [
             (self.prims, ChildrenKey::PrimChildren),
             (self.properties, ChildrenKey::PropertyChildren),
@@ -150,7 +183,34 @@ impl Opinions {
                     .set_field(&path, key.as_str(), Value::TokenVec(names));
             }
         }
-        self.data
+        let arrays = self.arrays.into_iter().map(|(_, array)| array);
+        (self.data, arrays.collect())
+    }
+}
+
+impl Array {
+    fn into_value(self) -> Value {
+        match self {
+            Self::Floats(values) => Value::FloatVec(values),
+            Self::Vectors(values) => {
+                Value::Vec3fVec(bytemuck::cast_vec::<Vec3, openusd::gf::Vec3f>(values))
+            }
+        }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        match self {
+            Self::Floats(values) => values.len(),
+            Self::Vectors(values) => values.len(),
+        }
+    }
+
+    /// As a file has them.
+    pub(super) fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Floats(values) => bytemuck::cast_slice(values),
+            Self::Vectors(values) => bytemuck::cast_slice(values),
+        }
     }
 }
 

@@ -8,7 +8,7 @@
 //! Only types of primvars are used that Blender keeps.
 
 use super::cloud::{author_root, extent};
-use super::opinions::{Declaration, Opinions};
+use super::opinions::{Array, Declaration, Opinions};
 use super::{Error, Provenance, author_metadata, baked, save};
 use crate::scene::StageInfo;
 use crate::surfels::points::{ColumnValues, PointSet, VectorKind};
@@ -16,6 +16,7 @@ use glam::Vec3;
 use openusd::gf;
 use openusd::sdf::{FieldKey, Path as SdfPath, Value};
 use openusd::tf::Token;
+use rayon::prelude::*;
 use std::path::Path;
 
 /// How far squares are off their points along the normal, in radii: surfels of the two sides of a wall are in one place, and
@@ -42,41 +43,31 @@ pub fn write(
         ("extent", "float3[]"),
         extent(&points.position, radii),
     )?;
-    if let Some(radii) = &points.radius {
-        let widths = radii.iter().map(|radius| 2.0 * radius).collect();
-        author(
-            &mut layer,
-            &prim,
-            ("widths", "float[]"),
-            Value::FloatVec(widths),
-        )?;
+    if let Some(mut widths) = points.radius {
+        widths.par_iter_mut().for_each(|width| *width *= 2.0);
+        let widths = Array::Floats(widths);
+        author_arrays(&mut layer, &prim, (&["widths"], "float[]"), widths)?;
     }
-    author(
-        &mut layer,
-        &prim,
-        ("points", "point3f[]"),
-        vectors(points.position),
-    )?;
+    let position = Array::Vectors(points.position);
+    author_arrays(&mut layer, &prim, (&["points"], "point3f[]"), position)?;
     if let Some(normals) = points.normal {
-        author(
-            &mut layer,
-            &prim,
-            ("normals", "normal3f[]"),
-            vectors(normals.clone()),
-        )?;
-        author(
-            &mut layer,
-            &prim,
-            ("primvars:N", "normal3f[]"),
-            vectors(normals),
-        )?;
+        let names = &["normals", "primvars:N"];
+        let normals = Array::Vectors(normals);
+        author_arrays(&mut layer, &prim, (names, "normal3f[]"), normals)?;
     }
     for column in points.columns {
-        let (type_name, value) = typed(column.values);
         let name = format!("primvars:{}", primvar_name(&column.name));
-        author(&mut layer, &prim, (&name, type_name), value)?;
+        let (type_name, array) = match column.values {
+            ColumnValues::Ints(values) => {
+                author(&mut layer, &prim, (&name, "int[]"), Value::IntVec(values))?;
+                continue;
+            }
+            ColumnValues::Floats(values) => ("float[]", Array::Floats(values)),
+            ColumnValues::Vectors(kind, values) => (type_name(kind), Array::Vectors(values)),
+        };
+        author_arrays(&mut layer, &prim, (&[&name], type_name), array)?;
     }
-    save(&layer.finish(), path)
+    save(layer, path)
 }
 
 /// Write `points` to `path` as a mesh of squares, with a material that shows `displayColor` as it is. Points without a
@@ -131,7 +122,7 @@ pub fn write_display_mesh(
     };
     let material = baked::author_material(&mut layer, &root)?;
     baked::bind(&mut layer, "/root/surfels", &material)?;
-    save(&layer.finish(), path)
+    save(layer, path)
 }
 
 fn begin(points: &PointSet, stage: &StageInfo, provenance: &Provenance) -> Result<Opinions, Error> {
@@ -144,35 +135,51 @@ fn begin(points: &PointSet, stage: &StageInfo, provenance: &Provenance) -> Resul
 }
 
 /// Declare an array with a value a point, or one that says so itself.
-fn author(
+pub(super) fn author(
     layer: &mut Opinions,
     prim: &SdfPath,
     (name, type_name): (&str, &str),
     value: Value,
 ) -> Result<(), Error> {
+    let attribute = declare(layer, prim, (name, type_name))?;
+    layer.set(&attribute, FieldKey::Default, value);
+    Ok(())
+}
+
+/// [`author`] of attributes that all have the values of `array`.
+pub(super) fn author_arrays(
+    layer: &mut Opinions,
+    prim: &SdfPath,
+    (names, type_name): (&[&str], &str),
+    array: Array,
+) -> Result<(), Error> {
+    let declared = names
+        .iter()
+        .map(|name| declare(layer, prim, (name, type_name)));
+    let attributes = declared.collect::<Result<_, _>>()?;
+    layer.set_array(attributes, array);
+    Ok(())
+}
+
+fn declare(
+    layer: &mut Opinions,
+    prim: &SdfPath,
+    (name, type_name): (&str, &str),
+) -> Result<SdfPath, Error> {
     let has_one_a_point = matches!(name, "widths" | "normals") || name.starts_with("primvars:");
     let declaration = Declaration {
         name,
         type_name,
         interpolation: has_one_a_point.then_some("vertex"),
     };
-    let attribute = layer.attribute(prim, declaration)?;
-    layer.set(&attribute, FieldKey::Default, value);
-    Ok(())
+    layer.attribute(prim, declaration)
 }
 
-fn typed(values: ColumnValues) -> (&'static str, Value) {
-    match values {
-        ColumnValues::Floats(values) => ("float[]", Value::FloatVec(values)),
-        ColumnValues::Ints(values) => ("int[]", Value::IntVec(values)),
-        ColumnValues::Vectors(kind, values) => {
-            let type_name = match kind {
-                VectorKind::Color => "color3f[]",
-                VectorKind::Normal => "normal3f[]",
-                VectorKind::Vector => "vector3f[]",
-            };
-            (type_name, vectors(values))
-        }
+fn type_name(kind: VectorKind) -> &'static str {
+    match kind {
+        VectorKind::Color => "color3f[]",
+        VectorKind::Normal => "normal3f[]",
+        VectorKind::Vector => "vector3f[]",
     }
 }
 

@@ -131,6 +131,12 @@ impl Reader<'_> {
                 true => scalar("displacement", default.displacement),
                 false => default.displacement,
             },
+            normal: match source(self.paths, shader, "inputs:normal") {
+                Source::Node { prim, output } => {
+                    texture_read(self.paths, prim, output).map(Box::new)
+                }
+                _ => None,
+            },
         }
     }
 
