@@ -62,9 +62,9 @@ fn info() -> ExrInfo {
 }
 
 fn written(layout: ExrLayout) -> (tempfile::TempDir, PathBuf) {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("out.exr");
-    write_exr(&path, &images(), &info(), layout).unwrap();
+    write_exr(&path, &images(), &info(), layout).expect("written");
     (folder, path)
 }
 

@@ -85,6 +85,7 @@ fn compare(scene: &Scene, surfels: usize, width: usize) {
     let settings = BakeSettings {
         spacing: None,
         surfels,
+        ..BakeSettings::default()
     };
     let baked = bake(&shader, &tracer, &lighting, &settings, &diagnostics).expect("not cancelled");
     let octree = Octree::new(&baked.cloud);
