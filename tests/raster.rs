@@ -40,6 +40,7 @@ impl<'a> Fixture<'a> {
         let settings = BakeSettings {
             spacing: None,
             surfels,
+            ..BakeSettings::default()
         };
         let mut baked =
             bake(&shader, &tracer, &dark, &settings, &diagnostics).expect("not cancelled");
