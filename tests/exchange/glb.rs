@@ -350,7 +350,23 @@ print(json.dumps(out))
 ";
 
 fn codes(value: &Json) -> Vec<Vec<Vec<u64>>> {
-    serde_json::from_value(value.clone()).unwrap()
+    serde_json::from_value(value.clone()).expect("rows of pixels")
+}
+
+/// Roughness and metallic of `paint`, packed, against the images in `files`.
+fn check_packed(paint: &Json, files: &Json) {
+    // roughness in green and metallic in blue of one image as high as the higher and as wide as the wider of the two
+    let packed = codes(&paint["Roughness"]["codes"]);
+    assert_eq!(packed, codes(&paint["Metallic"]["codes"]));
+    let (metal, rough) = (codes(&files["metal"]), codes(&files["rough"]));
+    assert_eq!((packed.len(), packed[0].len()), (8, 4));
+    for (y, row) in packed.iter().enumerate() {
+        for (x, pixel) in row.iter().enumerate() {
+            let roughness = (rough[y / 2][x][0] as f64 * 0.5 + 0.25 * 255.0).round();
+            assert!((pixel[1] as f64 - roughness).abs() <= 1.0, "{x} {y}");
+            assert_eq!(pixel[2], metal[y][x][2], "{x} {y}");
+        }
+    }
 }
 
 #[test]
@@ -376,18 +392,7 @@ fn blender_reads_textures_as_the_stage_has_them() {
         codes(&files["glow"])
     );
     assert!((paint["strength"].as_f64().unwrap() - 4.0).abs() < 1e-6);
-    // roughness in green and metallic in blue of one image as high as the higher and as wide as the wider of the two
-    let packed = codes(&paint["Roughness"]["codes"]);
-    assert_eq!(packed, codes(&paint["Metallic"]["codes"]));
-    let (metal, rough) = (codes(&files["metal"]), codes(&files["rough"]));
-    assert_eq!((packed.len(), packed[0].len()), (8, 4));
-    for (y, row) in packed.iter().enumerate() {
-        for (x, pixel) in row.iter().enumerate() {
-            let roughness = (rough[y / 2][x][0] as f64 * 0.5 + 0.25 * 255.0).round();
-            assert!((pixel[1] as f64 - roughness).abs() <= 1.0, "{x} {y}");
-            assert_eq!(pixel[2], metal[y][x][2], "{x} {y}");
-        }
-    }
+    check_packed(paint, &files);
     // where the corners of the quad are in the image: as UsdTransform2d says
     let mapping = numbers(&paint["Base Color"]["mapping"]);
     let turned = |scale: [f64; 2], angle: f64, moved: [f64; 2], st: [f64; 2]| {
@@ -424,9 +429,9 @@ fn blender_reads_textures_as_the_stage_has_them() {
 
 /// The JSON of a GLB.
 fn json_of(glb: &std::path::Path) -> Json {
-    let bytes = std::fs::read(glb).unwrap();
-    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
-    serde_json::from_slice(&bytes[20..20 + length]).unwrap()
+    let bytes = std::fs::read(glb).expect("written");
+    let length = u32::from_le_bytes(bytes[12..16].try_into().expect("four bytes")) as usize;
+    serde_json::from_slice(&bytes[20..20 + length]).expect("JSON")
 }
 
 #[test]

@@ -55,8 +55,8 @@ fn compare(usd: &Path, written: &Json, whole: f64) {
     let read = python_json(READ, &[usd]);
     assert_eq!((&read["up"], number(&read["unit"])), (&"Z".into(), 1.0));
     let (rows, truth) = (
-        read["rows"].as_array().unwrap(),
-        written.as_array().unwrap(),
+        read["rows"].as_array().expect("sound"),
+        written.as_array().expect("sound"),
     );
     assert_eq!(rows.len(), truth.len());
     for (row, truth) in rows.iter().zip(truth) {
@@ -74,18 +74,23 @@ fn compare(usd: &Path, written: &Json, whole: f64) {
 
 #[test]
 fn scans_have_the_places_colors_and_intensities_that_were_written() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = tempfile::tempdir().expect("sound");
     for (kind, whole, warnings) in [("wide", 65_535.0, 1), ("narrow", 255.0, 2)] {
         let scan = folder.path().join("scan.las");
         let written = python_json(WRITE, &[&scan, Path::new(kind)]);
         let usd = folder.path().join("scan.usdc");
         let report = convert(&scan, &usd, &[]);
-        assert_eq!(report["warnings"].as_array().unwrap().len(), warnings);
+        assert_eq!(
+            report["warnings"].as_array().expect("sound").len(),
+            warnings
+        );
         compare(&usd, &written, whole);
         // packed by the crate that reads it: the same
         let packed = folder.path().join("scan.laz");
         pack(&scan, &packed);
-        assert!(fs::metadata(&packed).unwrap().len() < fs::metadata(&scan).unwrap().len());
+        assert!(
+            fs::metadata(&packed).expect("sound").len() < fs::metadata(&scan).expect("sound").len()
+        );
         let from_packed = folder.path().join("packed.usdc");
         convert(&packed, &from_packed, &[]);
         compare(&from_packed, &written, whole);
@@ -93,22 +98,23 @@ fn scans_have_the_places_colors_and_intensities_that_were_written() {
 }
 
 fn pack(from: &Path, to: &Path) {
-    let mut reader = las::Reader::from_path(from).unwrap();
+    let mut reader = las::Reader::from_path(from).expect("sound");
     let mut header = las::Builder::from(reader.header().clone());
     header.point_format.is_compressed = true;
-    let mut writer = las::Writer::from_path(to, header.into_header().unwrap()).unwrap();
-    for point in reader.read_all().unwrap().points() {
-        writer.write_point(point.unwrap()).unwrap();
+    let mut writer =
+        las::Writer::from_path(to, header.into_header().expect("sound")).expect("sound");
+    for point in reader.read_all().expect("sound").points() {
+        writer.write_point(point.expect("sound")).expect("sound");
     }
-    writer.close().unwrap();
+    writer.close().expect("sound");
 }
 
 #[test]
 fn damaged_scans_are_errors_and_write_nothing() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = tempfile::tempdir().expect("sound");
     let scan = folder.path().join("scan.las");
     python_json(WRITE, &[&scan, Path::new("wide")]);
-    let good = fs::read(&scan).unwrap();
+    let good = fs::read(&scan).expect("sound");
     must_fail("a.las", b"", "LASF");
     must_fail("a.las", b"LASX0000", "LASF");
     must_fail("a.las", &good[..100], "ends within its header");
@@ -122,7 +128,7 @@ fn damaged_scans_are_errors_and_write_nothing() {
     survives("a.las", &good);
     let packed = folder.path().join("scan.laz");
     pack(&scan, &packed);
-    let good = fs::read(&packed).unwrap();
+    let good = fs::read(&packed).expect("sound");
     must_fail("a.laz", &good[..good.len() / 2], "a.laz");
     survives("a.laz", &good);
     // and only read
