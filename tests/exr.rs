@@ -1,4 +1,4 @@
-//! EXR files as OpenEXR and OpenImageIO read them: types, values, headers, parts.
+//! EXR files as OpenEXR, OpenImageIO and the `exr` crate read them: types, values, headers, parts.
 
 #[path = "support/python.rs"]
 mod python;
@@ -7,7 +7,7 @@ use glam::DMat4;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use surflux::results::{Aov, AovImage};
-use surflux::writers::image::{ExrInfo, ExrLayout, write_exr};
+use surflux::writers::image::{Error, ExrInfo, ExrLayout, write_exr};
 
 fn image(aov: Aov, value: impl Fn(usize, usize) -> f32) -> AovImage {
     let (width, height) = (5, 3);
@@ -141,4 +141,67 @@ assert image.seek_subimage(5, 0) and image.spec().getattribute("oiio:subimagenam
 "#,
         &[path],
     );
+}
+
+#[test]
+fn equal_images_are_equal_files() {
+    for layout in [ExrLayout::SinglePart, ExrLayout::MultiPart] {
+        let (_folder, first) = written(layout);
+        let first = std::fs::read(first).unwrap();
+        for _ in 0..4 {
+            let (_folder, again) = written(layout);
+            assert_eq!(std::fs::read(again).unwrap(), first);
+        }
+    }
+}
+
+#[test]
+fn the_exr_crate_reads_back_what_was_written() {
+    use exr::prelude::{ReadChannels, ReadLayers, read};
+    for (layout, layers) in [(ExrLayout::SinglePart, 1), (ExrLayout::MultiPart, 8)] {
+        let (_folder, path) = written(layout);
+        let read = read()
+            .no_deep_data()
+            .largest_resolution_level()
+            .all_channels()
+            .all_layers()
+            .all_attributes();
+        let image = read.from_file(&path).unwrap();
+        assert_eq!(image.layer_data.len(), layers);
+        let channels = image
+            .layer_data
+            .iter()
+            .flat_map(|layer| &layer.channel_data.list);
+        let depth = channels
+            .clone()
+            .find(|c| c.name.to_string() == "depth.Z")
+            .unwrap();
+        assert_eq!(depth.sample_data.values_as_f32().last(), Some(14.0 / 3.0));
+        assert_eq!(channels.count(), 49);
+    }
+}
+
+#[test]
+fn what_cannot_be_an_image_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("out.exr");
+    let small = AovImage {
+        aov: Aov::Depth,
+        group: None,
+        width: 1,
+        height: 1,
+        data: vec![0.0],
+    };
+    let empty = AovImage {
+        aov: Aov::Depth,
+        group: None,
+        width: 0,
+        height: 1,
+        data: vec![],
+    };
+    for images in [vec![], vec![empty], [images(), vec![small]].concat()] {
+        let result = write_exr(&path, &images, &ExrInfo::default(), ExrLayout::SinglePart);
+        assert!(matches!(result, Err(Error::Unsuitable { .. })));
+    }
+    assert!(!path.exists());
 }

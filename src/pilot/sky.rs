@@ -2,7 +2,7 @@
 //!
 //! A few receivers cannot be looked at by maps for less than what drawing the maps takes, so the error is taken apart.
 //! That of the set of directions is measured with rays along these very directions, which is cheap at a few receivers.
-//! That of the maps is measured against the same rays with few directions only; more of them make it smaller, not larger.
+//! That of the maps is measured against such rays with few directions only, and told for more of them ([`trial`]).
 //! Costs are those of the drawing that was measured, and of the looks of all receivers by [`maps::seconds`].
 
 mod along;
@@ -144,12 +144,13 @@ pub(super) fn search(
     let guess = start.directions.clamp(DIRECTIONS.0, DIRECTIONS.1);
     let spread = Spread::settled(question, guess, start, diagnostics)?;
     let sets = trial::sets(question, start, guess);
+    let fewest = spread.least(question);
     let mut best: Option<SkyBid> = None;
     // What the last detail took to try, and its own errors over what is allowed.
     let mut last: Option<(f64, f64)> = None;
     for (number, detail) in DETAILS.into_iter().enumerate() {
         let settings = |directions: f64| start.settings(detail, directions);
-        let least = settings(spread.least(question));
+        let least = settings(fewest);
         // The expectation of one detail over another is better.
         let expected = |settings: &MapsSettings| question.expected(plan, settings);
         let holds = best.as_ref().filter(|best| best.holds(start.limit));

@@ -84,9 +84,15 @@ impl Spread {
         self.needed(&|_| vec![0.0; self.errors.len()], question)
     }
 
-    pub(super) fn at(&self, directions: f64) -> impl Iterator<Item = f64> {
+    fn at(&self, directions: f64) -> impl Iterator<Item = f64> {
         let left = (directions / self.directions).powf(-choose::LAW);
         self.errors.iter().map(move |error| error * left)
+    }
+
+    /// Errors of so many directions together with those of maps, `own`.
+    pub(super) fn with(&self, own: &[f64], directions: f64) -> Vec<f64> {
+        let both = self.at(directions).zip(own);
+        both.map(|(spread, own)| spread.hypot(*own)).collect()
     }
 
     /// The fewest directions that leave room for errors of maps, `own` of them the relative ones of each thing asked for
@@ -98,13 +104,8 @@ impl Spread {
             let directions = |rung: u32| DIRECTIONS.0 * RUNG.powf(f64::from(rung));
             (0..=round(rungs)).map(move |rung| directions(rung).min(DIRECTIONS.1))
         };
-        let fits = |&directions: &f64| {
-            let own = own(directions);
-            let errors: Vec<f64> = (self.at(directions).zip(&own))
-                .map(|(spread, own)| spread.hypot(*own))
-                .collect();
-            worst(&errors, question) <= 1.0
-        };
+        let fits =
+            |&directions: &f64| worst(&self.with(&own(directions), directions), question) <= 1.0;
         let is_told = |directions: &f64| worst(&own(*directions), question) <= OWN_SHARE;
         let is_small = |&directions: &f64| {
             let spread: Vec<f64> = self.at(directions).collect();

@@ -141,8 +141,7 @@ impl Attempt {
         let own_errors = self.own_errors(directions);
         let chosen = settings(directions);
         let handed_over = self.ambiguous * question.total as f64 * question.handed_over_seconds;
-        let both = spread.at(directions).zip(&own_errors);
-        let errors: Vec<f64> = both.map(|(spread, own)| spread.hypot(*own)).collect();
+        let errors = spread.with(&own_errors, directions);
         SkyBid {
             settings: chosen,
             seconds: self.shared_seconds(plan, &chosen)
