@@ -82,14 +82,15 @@ fn place_prim(scene: &Scene, id: PrimId, interpolation: BakeInterpolation) -> Op
     let cage = world.mesh.cage.as_ref()?;
     let slots = Slots::new(cage, interpolation);
     let surroundings = surroundings(&world, &slots);
-    let mut vertices = Vec::new();
     let mut receiver_of_slot = Vec::with_capacity(slots.slots.len());
-    for (slot, around) in slots.slots.iter().zip(&surroundings) {
-        if let Some(around) = around {
-            vertices.push(vertex(&world, id, slot, around));
-        }
-        receiver_of_slot.push(number(vertices.len()).saturating_sub(1));
+    let mut used = Vec::with_capacity(slots.slots.len());
+    for (slot, around) in slots.slots.iter().zip(surroundings) {
+        used.extend(around.map(|around| (slot, around)));
+        receiver_of_slot.push(number(used.len()).saturating_sub(1));
     }
+    let vertices: Vec<Vertex> = (used.par_iter())
+        .map(|(slot, around)| vertex(&world, id, slot, around))
+        .collect();
     let receiver = |slot: &u32| receiver_of_slot[*slot as usize];
     (!vertices.is_empty()).then(|| Placed {
         id,

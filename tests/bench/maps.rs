@@ -86,7 +86,6 @@ fn look(bencher: Bencher<'_, '_>) {
     let settings = MapsSettings {
         directions: 128,
         pixel: 0.1,
-        crease: 1.0,
         ..MapsSettings::default()
     };
     bencher

@@ -24,6 +24,9 @@ const FOLDED: f32 = 0.7;
 /// The same between a face and the mean of those around its corner, where there may be one.
 const SHARP: f32 = 0.95;
 
+/// Its square where edges of the face may rise over the horizon of the mean by more than sin² = 1 − this.
+const FLAT: f32 = 1.0 - super::handover::CREASED;
+
 /// Bits of the filter a sample, at least: few receivers look further.
 const FILTER_BITS: usize = 16;
 
@@ -55,6 +58,9 @@ impl Borders {
             let pixel = pixels[first.prim.index()];
             Grid::new(plan, &class.occluders, (CELL + CELL_OF_BIAS * bias) * pixel)
         };
+        for occluder in plan.classes.iter().flat_map(|class| &class.occluders) {
+            plan.edges(occluder);
+        }
         Self {
             grids: plan.classes.par_iter().filter_map(grid).collect(),
             center: plan.center,
@@ -158,11 +164,11 @@ struct Use {
 }
 
 impl Edges {
-    /// Those of `mesh`, whose positions have these area-weighted `normals`.
-    pub(super) fn of(mesh: &Mesh, normals: &[Vec3]) -> Self {
+    /// Those of `mesh`, around whose positions faces make these `turns`.
+    pub(super) fn of(mesh: &Mesh, turns: &[Turn]) -> Self {
         let mut edges = Self::default();
-        let is_sharp = sharp_points(mesh, normals);
-        let sharp = uses(mesh, |[a, b]| is_sharp[a as usize] && is_sharp[b as usize]);
+        let is_sharp = |i: u32| turns[i as usize] == Turn::Sharp;
+        let sharp = uses(mesh, |[a, b]| is_sharp(a) && is_sharp(b));
         for of_edge in sharp.chunk_by(|a, b| a.ends == b.ends) {
             if are_folded(mesh, of_edge) {
                 edges.folded.push(of_edge[0].ends);
@@ -206,40 +212,66 @@ impl Edges {
 
 /// Edges of `mesh` for which `is_asked`, as triangles use them, those of one edge side by side.
 fn uses(mesh: &Mesh, is_asked: impl Fn([u32; 2]) -> bool + Sync) -> Vec<Use> {
-    let of_triangle = |(triangle, t): (u32, &[u32; 3])| {
-        let edges = [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]];
-        edges.map(|[a, b]| Use {
-            ends: [a.min(b), a.max(b)],
-            triangle,
-        })
-    };
-    let count = u32::try_from(mesh.triangles.len()).unwrap_or(u32::MAX);
-    let triangles = (0..count).into_par_iter().zip(&mesh.triangles);
-    let all = triangles.flat_map_iter(of_triangle);
-    let mut all: Vec<Use> = all.filter(|one| is_asked(one.ends)).collect();
+    let mut all = of_triangles(mesh, |triangle, t, found| {
+        for [a, b] in [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]] {
+            let ends = [a.min(b), a.max(b)];
+            if is_asked(ends) {
+                found.push(Use { ends, triangle });
+            }
+        }
+    });
     all.par_sort_unstable();
     all
 }
 
-/// Positions around which faces are turned away from their mean normal.
-fn sharp_points(mesh: &Mesh, normals: &[Vec3]) -> Vec<bool> {
-    let sharp_corners = |t: &[u32; 3]| {
+/// How far faces around a position are turned away from their mean normal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub(super) enum Turn {
+    /// So little that they cover less of the hemisphere about it than [`super::handover::CREASED`].
+    #[default]
+    Flat,
+    /// More than that.
+    Bent,
+    /// So far that two of them may be folded.
+    Sharp,
+}
+
+/// For every position of `mesh`, whose area-weighted normals are `normals`.
+pub(super) fn turns(mesh: &Mesh, normals: &[Vec3]) -> Vec<Turn> {
+    let found = of_triangles(mesh, |_, t, found| {
         let face = normal_of(mesh, t);
-        let is_sharp = move |&i: &u32| {
+        for &i in t {
             let (mean, along) = (normals[i as usize], face.dot(normals[i as usize]));
             let lengths = face.length_squared() * mean.length_squared();
-            along.max(0.0).powi(2) < SHARP * SHARP * lengths
-        };
-        (*t).into_iter().filter(is_sharp)
-    };
-    let found: Vec<u32> = (mesh.triangles.par_iter())
-        .flat_map_iter(sharp_corners)
-        .collect();
-    let mut is_sharp = vec![false; mesh.positions.len()];
-    for i in found {
-        is_sharp[i as usize] = true;
+            let along = along.max(0.0).powi(2);
+            if along < FLAT * lengths {
+                let is_sharp = along < SHARP * SHARP * lengths;
+                found.push((i, if is_sharp { Turn::Sharp } else { Turn::Bent }));
+            }
+        }
+    });
+    let mut turns = vec![Turn::Flat; mesh.positions.len()];
+    for (i, turn) in found {
+        turns[i as usize] = turns[i as usize].max(turn);
     }
-    is_sharp
+    turns
+}
+
+/// What `find` pushes for each triangle, its number and corners, in their order.
+fn of_triangles<T: Send>(mesh: &Mesh, find: impl Fn(u32, &[u32; 3], &mut Vec<T>) + Sync) -> Vec<T> {
+    let count = u32::try_from(mesh.triangles.len()).unwrap_or(u32::MAX);
+    let numbers = (0..count).into_par_iter().zip(&mesh.triangles);
+    numbers
+        .with_min_len(1 << 12)
+        .fold(Vec::new, |mut found, (number, t)| {
+            find(number, t, &mut found);
+            found
+        })
+        .collect_vec_list()
+        .into_iter()
+        .flatten()
+        .flatten()
+        .collect()
 }
 
 /// Twice its area long.
@@ -356,7 +388,10 @@ mod tests {
     fn corners_are_folded_and_rims_are_open_whether_points_are_shared_or_not() {
         for is_welded in [true, false] {
             let mesh = corner(1.0, is_welded);
-            let edges = Edges::of(&mesh, &crate::gather::maps::plan::normals(&mesh));
+            let edges = Edges::of(
+                &mesh,
+                &turns(&mesh, &crate::gather::maps::plan::normals(&mesh)),
+            );
             let folded = places(&mesh, &edges.folded);
             assert_eq!(folded.len(), 1, "{is_welded}");
             assert!(folded[0].contains(&Vec3::ZERO) && folded[0].contains(&Vec3::Y));
@@ -364,7 +399,10 @@ mod tests {
             // Nearly flat, or bent away: nothing rises before anybody.
             for rise in [0.01, -1.0] {
                 let mesh = corner(rise, is_welded);
-                let edges = Edges::of(&mesh, &crate::gather::maps::plan::normals(&mesh));
+                let edges = Edges::of(
+                    &mesh,
+                    &turns(&mesh, &crate::gather::maps::plan::normals(&mesh)),
+                );
                 assert!(edges.folded.is_empty(), "{is_welded} {rise}");
                 assert_eq!(edges.open.len(), 6, "{is_welded} {rise}");
             }

@@ -69,9 +69,6 @@ pub struct MapsSettings {
     pub max_distance: Option<f32>,
     /// Share of uncertain verdicts, 0…1, above which a receiver is ambiguous.
     pub ambiguous: f32,
-    /// Share of a vertex' hemisphere that the faces around it cover, 0…1, above which it is ambiguous: creases finer
-    /// than a pixel.
-    pub crease: f32,
 }
 
 impl Default for MapsSettings {
@@ -83,7 +80,6 @@ impl Default for MapsSettings {
             bias: 0.5,
             max_distance: None,
             ambiguous: 0.25,
-            crease: 0.05,
         }
     }
 }
@@ -97,7 +93,6 @@ impl MapsSettings {
         bias: 1.0,
         max_distance: None,
         ambiguous: 0.25,
-        crease: 0.05,
     };
 }
 

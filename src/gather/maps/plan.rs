@@ -1,7 +1,7 @@
 //! Scene → what the maps draw: prims sorted by how dense their triangles are, and the few flat ones that are better
 //! tested exactly.
 
-use super::borders::Edges;
+use super::borders::{self, Edges, Turn};
 use super::flat::{self, Flat};
 use super::handover;
 use crate::math::Bounds3;
@@ -30,10 +30,12 @@ pub struct MapsPlan<'a> {
     pub(super) flats: Vec<Flat>,
     /// Of each mesh: see [`Self::normals`].
     normals: Vec<OnceLock<Vec<Vec3>>>,
+    /// Of each mesh: see [`Self::turns`].
+    turns: Vec<OnceLock<Vec<Turn>>>,
     /// Of each mesh: see [`Self::edges`].
     edges: Vec<OnceLock<Edges>>,
     /// Of each mesh: see [`Self::creases`].
-    creases: Vec<OnceLock<Vec<f32>>>,
+    creases: Vec<OnceLock<Vec<bool>>>,
 }
 
 /// Prims that share a map.
@@ -102,6 +104,7 @@ impl<'a> MapsPlan<'a> {
             classes: classify(scene, &forms, occluders),
             flats,
             normals: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
+            turns: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
             edges: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
             creases: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
         }
@@ -112,16 +115,26 @@ impl<'a> MapsPlan<'a> {
         self.normals[mesh].get_or_init(|| normals(&self.scene.meshes[mesh]))
     }
 
+    // What follows is found by all threads together: whoever asks first must not be one of several at work, or it could
+    // wait for itself.
+
+    /// How far the faces around each position of a mesh are turned away from each other.
+    fn turns(&self, mesh: usize) -> &[Turn] {
+        let turns = || borders::turns(&self.scene.meshes[mesh], self.normals(mesh));
+        self.turns[mesh].get_or_init(turns)
+    }
+
     /// Edges of the mesh of a prim that maps are blind at.
     pub(super) fn edges(&self, occluder: &Occluder) -> &Edges {
         let mesh = self.scene.prims[occluder.prim.index()].mesh.index();
-        self.edges[mesh].get_or_init(|| Edges::of(&self.scene.meshes[mesh], self.normals(mesh)))
+        self.edges[mesh].get_or_init(|| Edges::of(&self.scene.meshes[mesh], self.turns(mesh)))
     }
 
-    /// Share of the hemisphere about each position of a mesh that the faces around it cover, 0…1.
-    pub(super) fn creases(&self, mesh: usize) -> &[f32] {
-        let creased = || handover::creased(&self.scene.meshes[mesh], self.normals(mesh));
-        self.creases[mesh].get_or_init(creased)
+    /// Which positions of a mesh the faces around them cover.
+    pub(super) fn creases(&self, mesh: usize) -> &[bool] {
+        let known = || (self.normals(mesh), self.turns(mesh));
+        let creases = || handover::creases(&self.scene.meshes[mesh], known());
+        self.creases[mesh].get_or_init(creases)
     }
 
     /// Mean edge of the densest prims, stage units: the unit of [`super::MapsSettings::pixel`]. 0 if nothing is drawn

@@ -17,6 +17,9 @@ const SHORT: usize = 16;
 pub(super) const MAX_SAH_DEPTH: usize = 16;
 /// Subtrees of at least this many items are built in parallel.
 const PARALLEL_ITEMS: usize = 8192;
+/// About so many items of a run tell where to split it. Of a ball of 1.08 M triangles the hierarchy is built in 0.9 of the
+/// time, and rays take as long as with all.
+const SAMPLE: usize = 1024;
 
 #[derive(Default)]
 struct Subtree {
@@ -233,20 +236,14 @@ fn split(items: &mut [Bound], extent: Extent, depth: usize) -> (usize, [Extent; 
 /// The same at the cheapest place between bins; `None` if no place separates the centers.
 fn divide<const BINS: usize>(items: &mut [Bound], extent: &Extent) -> Option<(usize, [Extent; 2])> {
     let grid = Grid::<BINS>::over(extent);
-    let Split { axis, bin } = grid.best_split(items)?;
-    let mut sides = [Extent::EMPTY; 2];
-    let mut left = 0;
-    // A stable partition in place would need memory; the order within a side is fixed by that of the items all the same.
-    for i in 0..items.len() {
-        let item = items[i];
-        let is_left = grid.bins_of(item)[axis] <= bin;
-        sides[usize::from(!is_left)].include(item);
-        if is_left {
-            items.swap(left, i);
-            left += 1;
-        }
-    }
-    (left > 0 && left < items.len()).then_some((left, sides))
+    let step = items.len().div_ceil(SAMPLE);
+    let Split { axis, bin } = (grid.best_split(items, step))
+        .or_else(|| (step > 1).then(|| grid.best_split(items, 1)).flatten())?;
+    let left = grid.partition(items, Split { axis, bin });
+    (left > 0 && left < items.len()).then(|| {
+        let (first, second) = items.split_at(left);
+        (left, [Extent::around(first), Extent::around(second)])
+    })
 }
 
 /// Bins over the centers of items, along each axis.
@@ -278,10 +275,26 @@ impl<const BINS: usize> Grid<BINS> {
         [x, y, z].map(|bin| (bin as usize).min(BINS - 1))
     }
 
-    /// The cheapest place, if any separates the centers.
-    fn best_split(&self, items: &[Bound]) -> Option<Split> {
+    /// Reorders `items` so that those up to a place come first; their number. Without a branch: which side an item is on
+    /// cannot be foretold. The order within a side is fixed by that of the items.
+    #[expect(clippy::cast_precision_loss, reason = "a few bins")]
+    fn partition(&self, items: &mut [Bound], Split { axis, bin }: Split) -> usize {
+        let (low, scale, limit) = (self.low[axis], self.scale[axis], (bin + 1) as f32);
+        let mut left = 0;
+        for i in 0..items.len() {
+            let item = items[i];
+            let place = (item.low[axis] + item.high[axis] - low) * scale;
+            items[i] = items[left];
+            items[left] = item;
+            left += usize::from(place < limit);
+        }
+        left
+    }
+
+    /// The cheapest place for every `step`th item, if any separates the centers of these.
+    fn best_split(&self, items: &[Bound], step: usize) -> Option<Split> {
         let mut bins = [[(Extent::NO_BOX, 0_u32); BINS]; 3];
-        for &item in items {
+        for &item in items.iter().step_by(step) {
             for (bins, bin) in bins.iter_mut().zip(self.bins_of(item)) {
                 let (sum, count) = &mut bins[bin];
                 *sum = joined(*sum, (item.low, item.high));

@@ -72,7 +72,7 @@ impl Topology {
         for low in 0..self.point_count {
             let uses =
                 &mut buckets.uses[buckets.offsets[low] as usize..buckets.offsets[low + 1] as usize];
-            uses.sort_unstable();
+            sort_few(uses);
             for edge in uses.chunk_by(|a, b| a.0 == b.0) {
                 if let [(high, _)] = edge {
                     boundary.on_boundary[low] = true;
@@ -82,6 +82,21 @@ impl Topology {
             }
         }
         boundary
+    }
+}
+
+/// By insertion where that is soonest: most points have three edges to higher ones, used twice each.
+fn sort_few(uses: &mut [(u32, bool)]) {
+    if uses.len() > 16 {
+        uses.sort_unstable();
+        return;
+    }
+    for end in 1..uses.len() {
+        let mut at = end;
+        while at > 0 && uses[at - 1] > uses[at] {
+            uses.swap(at - 1, at);
+            at -= 1;
+        }
     }
 }
 
@@ -104,30 +119,33 @@ struct EdgeBuckets {
 impl EdgeBuckets {
     fn of(topology: &Topology) -> Self {
         let mut offsets = vec![0_u32; topology.point_count + 1];
-        for (from, to) in edges(topology) {
+        each_edge(topology, |from, to| {
             offsets[from.min(to) as usize + 1] += 1;
-        }
+        });
         for point in 0..topology.point_count {
             offsets[point + 1] += offsets[point];
         }
         let mut next = offsets.clone();
         let mut uses = vec![(0, false); offsets[topology.point_count] as usize];
-        for (from, to) in edges(topology) {
+        each_edge(topology, |from, to| {
             let slot = &mut next[from.min(to) as usize];
             uses[*slot as usize] = (from.max(to), from > to);
             *slot += 1;
-        }
+        });
         Self { offsets, uses }
     }
 }
 
 /// Directed edges of all drawn faces.
-fn edges(topology: &Topology) -> impl Iterator<Item = (u32, u32)> + '_ {
-    topology.drawn().flat_map(|face| {
+fn each_edge(topology: &Topology, mut edge: impl FnMut(u32, u32)) {
+    for face in topology.drawn() {
         let points = topology.points_of(face);
-        let following = points.iter().cycle().skip(1);
-        points.iter().copied().zip(following.copied())
-    })
+        let mut from = points[points.len() - 1];
+        for &to in points {
+            edge(from, to);
+            from = to;
+        }
+    }
 }
 
 fn counts(prim: &RawPrim) -> Result<Vec<u32>, String> {
