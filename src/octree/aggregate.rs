@@ -3,10 +3,10 @@
 //! Sums are f64, added in the order of the children; second moments are carried about each node's own center, so that
 //! nothing cancels.
 
-use super::LeafSurfels;
 use super::node::{Lobes, NO_LOBES, Node};
 use super::packed::{PackedLobe, PackedLobes, PackedNode};
 use super::split::Cell;
+use super::{LEAF_SURFEL_COUNT, LeafSurfels};
 use crate::math::Bounds3;
 use crate::math::sh::{CLAMPED_COSINE, Sh9};
 use glam::{DVec3, Vec3};
@@ -114,11 +114,13 @@ fn index(value: usize) -> u32 {
 fn sum_cell(cell: &Cell, surfels: &LeafSurfels, below: &[Part]) -> Part {
     let is_spread = |sum: &Part| sum.facing.length() < LEAST_FLATNESS * sum.area;
     if cell.children.is_empty() {
-        let own: Vec<Surfel> = (cell.surfels.clone())
-            .map(|i| Surfel::of(surfels, i))
-            .collect();
-        let sum = Part::of_leaf(&own);
-        let lobes = is_spread(&sum).then(|| Box::new(lobes_of_leaf(&own)));
+        let mut own = [Surfel::default(); LEAF_SURFEL_COUNT];
+        let own = &mut own[..cell.surfels.len()];
+        for (surfel, i) in own.iter_mut().zip(cell.surfels.clone()) {
+            *surfel = Surfel::of(surfels, i);
+        }
+        let sum = Part::of_leaf(own);
+        let lobes = is_spread(&sum).then(|| Box::new(lobes_of_leaf(own)));
         return Part { lobes, ..sum };
     }
     let parts = &below[cell.children.clone()];
@@ -168,7 +170,7 @@ fn lobes_of_leaf(surfels: &[Surfel]) -> Lobes {
 }
 
 /// A surfel of a leaf, unpacked.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 struct Surfel {
     position: Vec3,
     normal: Vec3,

@@ -54,13 +54,27 @@ pub struct LeafSurfels {
 impl LeafSurfels {
     /// The surfels `ids` of `cloud`, in that order.
     pub(super) fn new(cloud: &SurfelCloud, ids: &[u32]) -> Self {
-        let emits = |&(_, &id): &(u32, &u32)| cloud.emission[id as usize] != Vec3::ZERO;
-        let emitting = (0..).zip(ids).filter(emits);
+        let count = u32::try_from(cloud.len()).expect("a cloud has less than 2³² surfels");
+        // In the order of the cloud first: columns are read from end to end, and only rows jump.
+        let rows: Vec<Packed> = (0..count)
+            .into_par_iter()
+            .map(|id| Packed::of(cloud, id))
+            .collect();
+        let emits: Vec<bool> = (cloud.emission.par_iter())
+            .map(|&light| light != Vec3::ZERO)
+            .collect();
+        let emitted = |(place, &id): (u32, &u32)| {
+            let light = || (place, cloud.emission[id as usize] * FRAC_1_PI);
+            emits[id as usize].then(light)
+        };
         Self {
-            packed: ids.par_iter().map(|&id| Packed::of(cloud, id)).collect(),
-            emitted: emitting
-                .map(|(place, &id)| (place, cloud.emission[id as usize] * FRAC_1_PI))
-                .collect(),
+            packed: ids.par_iter().map(|&id| rows[id as usize]).collect(),
+            emitted: if emits.par_iter().any(|&emits| emits) {
+                let places = (0..count).into_par_iter().zip(ids);
+                places.filter_map(emitted).collect()
+            } else {
+                Vec::new()
+            },
         }
     }
 
