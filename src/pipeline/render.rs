@@ -8,12 +8,13 @@ use super::view::{View, views};
 use super::world::{Needs, World, with_world};
 use super::{Error, gather, made_by, outputs, provenance, shots, source_of};
 use crate::diagnostics::Diagnostics;
+use crate::receivers::camera::{CameraRay, Sights};
 use crate::receivers::lens::Lens;
 use crate::receivers::sampling::Sampling;
 use crate::receivers::{Receivers, camera};
 use crate::results::{Aov, AovImage, resolve};
 use crate::stage::Source;
-use crate::trace::Layer;
+use crate::trace::Hit;
 use crate::writers::image::{ExrInfo, ExrLayout, write_exr, write_png};
 use glam::{Vec3, Vec4};
 use std::collections::BTreeMap;
@@ -219,21 +220,38 @@ fn sampling(world: &World<'_>, view: &View, job: &RenderJob) -> Sampling {
     if job.hide_lights {
         return Sampling::uniform(job.pixel_samples);
     }
-    let glow = |origin, direction, length| glow((world, None), false, (origin, direction, length));
+    let is_lit = |ray: &CameraRay| {
+        let CameraRay {
+            origin,
+            direction,
+            length,
+        } = *ray;
+        let met = (world.lighting).seen(origin, direction, length);
+        met.is_some_and(|(distance, _)| {
+            let solid = (world.tracer).solid_closest(origin, direction, length);
+            solid.is_none_or(|hit| distance < hit.distance)
+                && (world.tracer).layers((origin, direction), distance, &mut Vec::new()) > 0.0
+        })
+    };
     let (scene, samples) = (world.scene(), job.pixel_samples);
-    camera::finer_at_lights(scene, &glow, (&view.camera, view.frame), samples)
+    camera::finer_at_lights(scene, &is_lit, (&view.camera, view.frame), samples)
 }
 
 /// Receivers on the surfaces that the camera sees; lights in front hide them.
 fn place(world: &World<'_>, view: &View, job: &RenderJob, sampling: &Sampling) -> Receivers {
-    let cast = |origin: Vec3, direction: Vec3, length: f32, found: &mut Vec<Layer>| {
-        camera::see_through(&world.tracer, (origin, direction), length, found);
-        let Some(last) = found.last().filter(|_| !job.hide_lights) else {
+    let cast = |sights: &mut Sights| {
+        sights.see_through(&world.tracer);
+        if job.hide_lights {
             return;
-        };
-        let light = (world.lighting).seen(origin, direction, last.hit.distance);
-        if let Some((distance, _)) = light {
-            found.retain(|layer| layer.hit.distance < distance);
+        }
+        for (ray, found) in sights.rays.iter().zip(&mut sights.layers) {
+            let Some(last) = found.last() else {
+                continue;
+            };
+            let light = (world.lighting).seen(ray.origin, ray.direction, last.hit.distance);
+            if let Some((distance, _)) = light {
+                found.retain(|layer| layer.hit.distance < distance);
+            }
         }
     };
     camera::place_with(world.scene(), &cast, (&view.camera, view.frame), sampling)
@@ -242,14 +260,18 @@ fn place(world: &World<'_>, view: &View, job: &RenderJob, sampling: &Sampling) -
 /// A light group's name, and the world where nothing else shines.
 type Part<'a> = (&'a str, &'a World<'a>);
 
-/// What shines by itself along a ray (origin, unit direction, length) and how far it covers what is behind: the shape
-/// of a light, or the sky, which does not cover. Of a part only its own lights, where no others hide them, and its sky.
+/// What shines by itself along a ray before what stops it (`solid`) and how far it covers what is behind: the shape of a
+/// light, or the sky, which does not cover. Of a part only its own lights, where no others hide them, and its sky.
 fn glow(
     (world, part): (&World<'_>, Option<Part<'_>>),
     sky: bool,
-    (origin, direction, length): (Vec3, Vec3, f32),
+    (ray, solid): (&CameraRay, Option<Hit>),
 ) -> Vec4 {
-    let solid = world.tracer.solid_closest(origin, direction, length);
+    let CameraRay {
+        origin,
+        direction,
+        length,
+    } = *ray;
     let length = solid.map_or(length, |hit| hit.distance);
     let shown = part.map_or(world, |(_, part)| part);
     let light = world.lighting.seen(origin, direction, length);
@@ -283,10 +305,9 @@ fn add_lights(
     };
     for image in images.iter_mut().filter(shown) {
         let sky = image.aov == Aov::Color;
-        let glow =
-            |origin, direction, length| glow((world, part), sky, (origin, direction, length));
+        let glow = |ray: &CameraRay, solid| glow((world, part), sky, (ray, solid));
         let seen = (&view.camera, view.frame);
-        let backdrop = camera::backdrop(world.scene(), &glow, seen, sampling);
+        let backdrop = camera::backdrop(world.scene(), &world.tracer, &glow, seen, sampling);
         for (pixel, light) in image
             .data
             .chunks_exact_mut(image.aov.components())

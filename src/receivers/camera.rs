@@ -11,9 +11,9 @@ use super::sampling::{Sampling, place_of_sample};
 use crate::math::Bounds3;
 use crate::results::{PixelShare, Target};
 use crate::scene::camera::Projection;
-use crate::scene::{Camera, MaterialId, PlacedMesh, Scene, on_the_side_of};
+use crate::scene::{Camera, MaterialId, Normals, PlacedMesh, PrimId, Scene, on_the_side_of};
 use crate::shading::SurfacePoint;
-use crate::trace::{Hit, Layer, Tracer};
+use crate::trace::{Beam, Hit, Layer, Tracer};
 use glam::{DAffine3, DMat3, DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
@@ -37,34 +37,57 @@ pub fn place(
     frame: Frame,
     samples_per_axis: u32,
 ) -> Receivers {
-    let cast = |origin: Vec3, direction: Vec3, length: f32, found: &mut Vec<Layer>| {
-        see_through(tracer, (origin, direction), length, found);
-    };
+    let cast = |sights: &mut Sights| sights.see_through(tracer);
     let sampling = Sampling::uniform(samples_per_axis);
     place_with(scene, &cast, (camera, frame), &sampling)
 }
 
-/// Appends what is met along a ray from an origin (relative to the scene's) in a unit direction within a length, in order, up
-/// to the first that nothing passes through.
-pub type Cast<'a> = &'a (dyn Fn(Vec3, Vec3, f32, &mut Vec<Layer>) + Sync);
-
-/// Fills `found` with all that a ray from an origin in a unit direction meets within `length`, up to the first surface that
-/// nothing passes through. Returns the part of what is beyond that is seen, 0…1.
-pub fn see_through(
-    tracer: &Tracer,
-    (origin, direction): (Vec3, Vec3),
-    length: f32,
-    found: &mut Vec<Layer>,
-) -> f32 {
-    let solid = tracer.solid_closest(origin, direction, length);
-    let end = solid.map_or(length, |hit| hit.distance);
-    let open = tracer.layers((origin, direction), end, found);
-    let Some(hit) = solid.filter(|_| open > 0.0) else {
-        return open;
-    };
-    found.push(Layer { hit, opacity: 1.0 });
-    0.0
+/// A ray from a camera, relative to the scene's origin.
+#[derive(Debug, Clone, Copy)]
+pub struct CameraRay {
+    /// On the near clipping plane.
+    pub origin: Vec3,
+    /// Unit.
+    pub direction: Vec3,
+    /// To the far clipping plane.
+    pub length: f32,
 }
+
+/// The rays of a pixel and what they meet. Kept from one pixel to the next, it allocates nothing.
+#[derive(Debug, Default)]
+pub struct Sights {
+    /// All that look through the pixel.
+    pub rays: Vec<CameraRay>,
+    /// What each of them meets, in order, up to the first surface that nothing passes through.
+    pub layers: Vec<Vec<Layer>>,
+    beam: Beam,
+}
+
+impl Sights {
+    /// Fill [`Self::layers`] with what there is in the scene.
+    pub fn see_through(&mut self, tracer: &Tracer) {
+        self.look(tracer);
+        for (i, (ray, found)) in self.rays.iter().zip(&mut self.layers).enumerate() {
+            let solid = self.beam.hit(i);
+            let end = solid.map_or(ray.length, |hit| hit.distance);
+            let open = tracer.layers((ray.origin, ray.direction), end, found);
+            let solid = solid.filter(|_| open > 0.0);
+            found.extend(solid.map(|hit| Layer { hit, opacity: 1.0 }));
+        }
+    }
+
+    /// Find what stops each ray.
+    fn look(&mut self, tracer: &Tracer) {
+        self.beam.clear();
+        for ray in &self.rays {
+            self.beam.push(ray.origin, ray.direction, ray.length);
+        }
+        tracer.solid_closest_in(&mut self.beam);
+    }
+}
+
+/// Fills the layers of the rays of a pixel, one list a ray, empty before.
+pub type Cast<'a> = &'a (dyn Fn(&mut Sights) + Sync);
 
 /// Layers that give less than this part of a sample are not looked at.
 const LEAST_PART: f32 = 1e-3;
@@ -125,51 +148,46 @@ pub fn place_with(
     receivers
 }
 
-/// Color and coverage along a ray from an origin in a unit direction within a length.
-pub type Glow<'a> = &'a (dyn Fn(Vec3, Vec3, f32) -> Vec4 + Sync);
+/// Color and coverage along a ray, before the first surface that nothing passes through.
+pub type Glow<'a> = &'a (dyn Fn(&CameraRay, Option<Hit>) -> Vec4 + Sync);
 
 /// What `camera` sees besides surfaces, a pixel each, rows from the top: the mean of `glow` over the samples of
 /// [`place_with`].
 pub fn backdrop(
     scene: &Scene,
+    tracer: &Tracer,
     glow: Glow<'_>,
     (camera, frame): (&Camera, Frame),
     sampling: &Sampling,
 ) -> Vec<Vec4> {
-    let nothing = |_: Vec3, _: Vec3, _: f32, _: &mut Vec<Layer>| {};
-    let view = View::new(scene, &nothing, (camera, frame), sampling);
-    let pixel = |x: u32, y: u32| {
-        let n = sampling.per_axis(x, y);
-        let sum: Vec4 = (0..n * n)
-            .map(|sample| {
-                let [dx, dy] = place_of_sample(sample, n);
-                let ray = view.ray(f64::from(x) + dx, f64::from(y) + dy);
-                glow(ray.origin, ray.direction, ray.length)
-            })
-            .sum();
-        sum / (n * n) as f32
+    let view = View::new(scene, &|_| (), (camera, frame), sampling);
+    let mean = |x: u32, y: u32, sights: &mut Sights| {
+        view.look_through((x, y), &mut Vec::new(), sights);
+        sights.look(tracer);
+        let seen = sights.rays.iter().enumerate();
+        let sum: Vec4 = seen.map(|(i, ray)| glow(ray, sights.beam.hit(i))).sum();
+        sum / sights.rays.len() as f32
     };
-    (0..frame.height)
-        .into_par_iter()
-        .flat_map_iter(|y| (0..frame.width).map(move |x| (x, y)))
-        .map(|(x, y)| pixel(x, y))
-        .collect()
+    let row = |y: u32| {
+        let mut sights = Sights::default();
+        (0..frame.width)
+            .map(|x| mean(x, y, &mut sights))
+            .collect::<Vec<Vec4>>()
+    };
+    let rows: Vec<_> = (0..frame.height).into_par_iter().map(row).collect();
+    rows.concat()
 }
 
-/// [`Sampling`] of `camera`'s image, finer where the shape of a light ends: `glow` covers there and not beside it.
+/// [`Sampling`] of `camera`'s image, finer where the shape of a light ends: rays meet it there (`is_lit`) and not beside it.
 pub fn finer_at_lights(
     scene: &Scene,
-    glow: Glow<'_>,
+    is_lit: &(dyn Fn(&CameraRay) -> bool + Sync),
     (camera, frame): (&Camera, Frame),
     samples_per_axis: u32,
 ) -> Sampling {
-    let nothing = |_: Vec3, _: Vec3, _: f32, _: &mut Vec<Layer>| {};
     let uniform = Sampling::uniform(samples_per_axis);
-    let view = View::new(scene, &nothing, (camera, frame), &uniform);
-    let is_lit = |x, y| {
-        let ray = view.ray(x, y);
-        glow(ray.origin, ray.direction, ray.length).w > 0.0
-    };
+    let view = View::new(scene, &|_| (), (camera, frame), &uniform);
+    let is_lit = |x, y| is_lit(&view.ray(x, y).ray);
     Sampling::finer_at_edges(samples_per_axis, frame, &is_lit)
 }
 
@@ -192,14 +210,81 @@ struct Seen {
     part: f32,
 }
 
-/// A camera ray relative to the scene's origin.
+/// The surfaces of a pixel: what its samples see, and how many there are. Lists beyond are kept for the next pixel.
+#[derive(Debug, Default)]
+struct Clusters {
+    lists: Vec<Vec<Seen>>,
+    count: usize,
+}
+
+impl Clusters {
+    fn clear(&mut self) {
+        self.count = 0;
+    }
+
+    fn all(&self) -> &[Vec<Seen>] {
+        &self.lists[..self.count]
+    }
+
+    /// Add to the list `index`, or to a new one after the last.
+    fn push(&mut self, index: usize, seen: Seen) {
+        if index == self.count {
+            if self.lists.len() == self.count {
+                self.lists.push(Vec::new());
+            }
+            self.lists[index].clear();
+            self.count += 1;
+        }
+        self.lists[index].push(seen);
+    }
+}
+
+/// One side of a triangle.
+struct Face<'a> {
+    prim: PrimId,
+    triangle: u32,
+    front: bool,
+    world: PlacedMesh<'a>,
+    /// Unit, of the plane, on this side.
+    normal: Vec3,
+}
+
+/// What tells one [`Face`] from another.
+const fn key_of(hit: &Hit) -> (PrimId, u32, bool) {
+    (hit.prim, hit.triangle, hit.front)
+}
+
+impl<'a> Face<'a> {
+    fn of(scene: &'a Scene, hit: &Hit) -> Self {
+        let world = PlacedMesh::of(scene, hit.prim);
+        let plane = world.mesh.plane_normal(hit.triangle as usize);
+        let (prim, triangle, front) = key_of(hit);
+        Self {
+            prim,
+            triangle,
+            front,
+            world,
+            normal: world.normal(plane) * side(front),
+        }
+    }
+
+    /// Unit, on this side.
+    fn shading_normal(&self, hit: &Hit) -> Vec3 {
+        if matches!(self.world.mesh.normals, Normals::Flat) {
+            return self.normal;
+        }
+        let normal = self.world.shading_normal(hit.triangle, hit.u, hit.v);
+        normal * side(self.front)
+    }
+}
+
+const fn side(front: bool) -> f32 {
+    if front { 1.0 } else { -1.0 }
+}
+
+/// A ray and how the camera measures along it.
 struct WorldRay {
-    /// On the near clipping plane.
-    origin: Vec3,
-    /// Unit.
-    direction: Vec3,
-    /// To the far clipping plane.
-    length: f32,
+    ray: CameraRay,
     /// World units in one unit of camera space.
     scale: f64,
     /// Cosine to the viewing axis.
@@ -235,28 +320,42 @@ impl<'a> View<'a> {
         }
     }
 
+    /// Rays through all samples of a pixel.
+    fn look_through(&self, (x, y): (u32, u32), rays: &mut Vec<WorldRay>, sights: &mut Sights) {
+        let n = self.sampling.per_axis(x, y);
+        let through = |sample: u32| {
+            let [dx, dy] = place_of_sample(sample, n);
+            self.ray(f64::from(x) + dx, f64::from(y) + dy)
+        };
+        rays.clear();
+        rays.extend((0..n * n).map(through));
+        sights.rays.clear();
+        sights.rays.extend(rays.iter().map(|ray| ray.ray));
+        sights.layers.iter_mut().for_each(Vec::clear);
+        sights.layers.resize_with(rays.len(), Vec::new);
+    }
+
     fn row(&self, y: u32, width: u32) -> Row {
         let mut row = Vec::with_capacity(width as usize);
-        let (mut clusters, mut found) = (Vec::new(), Vec::new());
+        let (mut rays, mut sights) = (Vec::new(), Sights::default());
+        let (mut clusters, mut face) = (Clusters::default(), None);
         for x in 0..width {
             clusters.clear();
-            let n = self.sampling.per_axis(x, y);
-            for sample in 0..n * n {
-                let [dx, dy] = place_of_sample(sample, n);
-                let ray = self.ray(f64::from(x) + dx, f64::from(y) + dy);
-                found.clear();
-                (self.cast)(ray.origin, ray.direction, ray.length, &mut found);
+            self.look_through((x, y), &mut rays, &mut sights);
+            (self.cast)(&mut sights);
+            for (ray, layers) in rays.iter().zip(&sights.layers) {
                 let mut open = 1.0;
-                for layer in &found {
+                for layer in layers {
                     let part = open * layer.opacity;
                     open -= part;
                     if part >= LEAST_PART {
-                        self.add(&mut clusters, self.seen(&ray, &layer.hit, part));
+                        let face = self.face(&mut face, &layer.hit);
+                        self.add(&mut clusters, self.seen(ray, (&layer.hit, face), part));
                     }
                 }
             }
-            for cluster in &clusters {
-                let samples = (n * n) as f32;
+            for cluster in clusters.all() {
+                let samples = rays.len() as f32;
                 let share = cluster.iter().map(|seen| seen.part).sum::<f32>() / samples;
                 let merged = self.merge(cluster, cluster.len() as f32 / samples);
                 row.push((y * width + x, share, merged));
@@ -275,34 +374,40 @@ impl<'a> View<'a> {
         let direction = self.world_from_camera.transform_vector3(ray.direction);
         // Scaled cameras measure distances in world units too: USD's cameras should not be scaled, some are.
         let scale = direction.length();
+        let origin = self.world_from_camera.transform_point3(ray.origin);
         WorldRay {
-            origin: self
-                .world_from_camera
-                .transform_point3(ray.origin)
-                .as_vec3(),
-            direction: (direction / scale).as_vec3(),
-            length: (ray.length * scale).min(f64::from(f32::MAX)) as f32,
+            ray: CameraRay {
+                origin: origin.as_vec3(),
+                direction: (direction / scale).as_vec3(),
+                length: (ray.length * scale).min(f64::from(f32::MAX)) as f32,
+            },
             scale,
             axial: -ray.direction.z,
         }
     }
 
-    /// What `ray` meets at `hit`, which gives `part` of what is seen.
+    /// The face that is hit; `last` is the one before, which most often is the same.
+    fn face<'f>(&self, last: &'f mut Option<Face<'a>>, hit: &Hit) -> &'f Face<'a> {
+        let is_same = |face: &Face<'_>| (face.prim, face.triangle, face.front) == key_of(hit);
+        if !last.as_ref().is_some_and(is_same) {
+            *last = None;
+        }
+        last.get_or_insert_with(|| Face::of(self.scene, hit))
+    }
+
+    /// What `ray` meets at `hit` on `face`, which gives `part` of what is seen.
     #[expect(clippy::cast_possible_truncation, reason = "distances, rounded to f32")]
-    fn seen(&self, ray: &WorldRay, hit: &Hit, part: f32) -> Seen {
-        let (direction, scale) = (ray.direction, ray.scale);
+    fn seen(&self, ray: &WorldRay, (hit, face): (&Hit, &Face<'_>), part: f32) -> Seen {
+        let (direction, scale) = (ray.ray.direction, ray.scale);
         let along = f64::from(hit.distance) / scale * ray.axial;
         let depth = self.lens.near_distance() + along;
-        let world = PlacedMesh::of(self.scene, hit.prim);
-        let t = hit.triangle;
-        let side = if hit.front { 1.0 } else { -1.0 };
-        let geometric = world.normal(world.mesh.plane_normal(t as usize)) * side;
-        let shading = world.shading_normal(t, hit.u, hit.v) * side;
+        let geometric = face.normal;
+        let shading = face.shading_normal(hit);
         // A pixel covers its area at that depth × cosine to the axis / cosine to the surface.
         let slant = geometric.dot(-direction).abs() / ray.axial as f32;
         let stretch = slant.max(MOST_STRETCH.powi(-2)).sqrt().recip();
         Seen {
-            position: world.position(t, hit.u, hit.v),
+            position: face.world.position(hit.triangle, hit.u, hit.v),
             normal: on_the_side_of(geometric, shading),
             geometric_normal: geometric,
             surface: SurfacePoint {
@@ -320,23 +425,24 @@ impl<'a> View<'a> {
     }
 
     /// Put `seen` to the first cluster of the same surface, or into a new one.
-    fn add(&self, clusters: &mut Vec<Vec<Seen>>, seen: Seen) {
-        match clusters
-            .iter_mut()
-            .find(|cluster| self.is_same_surface(&cluster[0], &seen))
-        {
-            Some(cluster) => cluster.push(seen),
-            None => clusters.push(vec![seen]),
-        }
+    fn add(&self, clusters: &mut Clusters, seen: Seen) {
+        let known = (clusters.all().iter())
+            .position(|cluster| self.is_same_surface(&cluster[0], &seen))
+            .unwrap_or(clusters.count);
+        clusters.push(known, seen);
     }
 
     fn is_same_surface(&self, a: &Seen, b: &Seen) -> bool {
         let off_plane = (b.position - a.position).dot(a.geometric_normal).abs();
+        let is_same_material = || {
+            a.surface.triangle == b.surface.triangle
+                || self.material(&a.surface) == self.material(&b.surface)
+        };
         a.surface.prim == b.surface.prim
             && a.front == b.front
             && a.normal.dot(b.normal) > SAME_NORMAL_COSINE
             && off_plane < SAME_PLANE_PIXELS * a.surface.footprint
-            && self.material(&a.surface) == self.material(&b.surface)
+            && is_same_material()
     }
 
     fn material(&self, point: &SurfacePoint) -> Option<MaterialId> {

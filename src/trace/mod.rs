@@ -6,6 +6,7 @@
 //! over lanes; the whole search is compiled once for every instruction set and the widest one that the machine has is
 //! taken. No operation is fused or reordered, so that the results are the same bits on all of them.
 
+mod beam;
 mod packet;
 mod ray;
 mod screens;
@@ -14,6 +15,7 @@ mod wide;
 
 use crate::math::Bounds3;
 use crate::scene::{Mesh, PlacedMesh, Prim, PrimId, Scene};
+pub use beam::Beam;
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Affine3A, Vec3};
 use ray::Ray;
@@ -184,10 +186,21 @@ impl Tracer {
         max_distance: f32,
     ) -> Option<Hit> {
         let mut ray = Ray::new(origin, direction, max_distance)?;
-        let mut best = self.world.closest(simd, &mut ray);
+        let own = self.world.closest(simd, &mut ray);
+        self.nearer_occurrence(simd, &mut ray, own)
+    }
+
+    /// The first hit of a ray among prims of shared meshes, which it shortens to it, or `best` if that is nearer.
+    #[inline(always)]
+    fn nearer_occurrence<S: Simd>(
+        &self,
+        simd: S,
+        ray: &mut Ray,
+        mut best: Option<Hit>,
+    ) -> Option<Hit> {
         self.top.traverse::<NEAREST_FIRST, S>(
             simd,
-            &mut ray,
+            ray,
             #[inline(always)]
             |leaf, ray| {
                 for occurrence in self.occurrences_of(leaf) {

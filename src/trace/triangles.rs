@@ -24,6 +24,9 @@ use std::ops::Deref;
 /// Boxes grow by this part of the largest coordinate, more than the roundings of their distances.
 const BOX_MARGIN: f32 = 8.0 * f32::EPSILON;
 
+/// Leaves that are tested against all rays of a beam; where they are not enough, each ray looks for itself.
+const MOST_LEAVES: usize = 12;
+
 /// Up to four triangles of one leaf; unused lanes are NaN and never hit.
 #[derive(Debug, Clone)]
 struct Block {
@@ -107,6 +110,39 @@ impl Triangles {
             },
         );
         best
+    }
+
+    /// [`Self::closest`] for all of `rays`, which lie close together; `hits` where one is nearer.
+    #[inline(always)]
+    pub(super) fn closest_in<S: Simd>(
+        &self,
+        simd: S,
+        (rays, hits): (&mut [Ray], &mut [Option<LocalHit>]),
+    ) {
+        let is_done = self.tree.traverse_beam(
+            simd,
+            rays,
+            MOST_LEAVES,
+            #[inline(always)]
+            |leaf, rays| {
+                let first = leaf.block * LEAF_SIZE;
+                let indices = &self.tree.order[first..first + leaf.count];
+                for (ray, hit) in rays.iter_mut().zip(hits.iter_mut()) {
+                    let sheared = self.blocks[leaf.block].sheared(simd, &ray.line);
+                    let lanes = sheared.meet(simd, ray.place, ray.line.scale);
+                    let end = (ray.max_distance, ray.before);
+                    if let Some(found) = lanes.and_then(|lanes| lanes.first(indices, end)) {
+                        (ray.max_distance, ray.before) = (found.distance, found.triangle);
+                        *hit = Some(found);
+                    }
+                }
+            },
+        );
+        if !is_done {
+            for (ray, hit) in rays.iter_mut().zip(hits) {
+                *hit = self.closest(simd, ray).or(*hit);
+            }
+        }
     }
 
     /// True if anything is hit closer than the ray's limit.

@@ -1,5 +1,6 @@
 //! An eight-way bounding volume hierarchy, and rays through it to its leaves.
 
+mod beam;
 mod boxes;
 mod build;
 mod extent;

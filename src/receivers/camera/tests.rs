@@ -58,9 +58,11 @@ fn cast(scene: &Scene, origin: Vec3, direction: Vec3, length: f32) -> Option<Hit
 }
 
 fn look(scene: &Scene, camera: &Camera, frame: Frame, samples: u32) -> Receivers {
-    let cast = |origin: Vec3, direction: Vec3, length: f32, found: &mut Vec<Layer>| {
-        let hit = cast(scene, origin, direction, length);
-        found.extend(hit.map(|hit| Layer { hit, opacity: 1.0 }));
+    let cast = |sights: &mut Sights| {
+        for (ray, found) in sights.rays.iter().zip(&mut sights.layers) {
+            let hit = cast(scene, ray.origin, ray.direction, ray.length);
+            found.extend(hit.map(|hit| Layer { hit, opacity: 1.0 }));
+        }
     };
     place_with(scene, &cast, (camera, frame), &Sampling::uniform(samples))
 }

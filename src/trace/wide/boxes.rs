@@ -25,7 +25,7 @@ impl Node {
     }
 
     #[inline(always)]
-    fn load<S: Simd>(&self, simd: S, axis: usize, side: usize) -> f32x8<S> {
+    pub(super) fn load<S: Simd>(&self, simd: S, axis: usize, side: usize) -> f32x8<S> {
         f32x8::from_slice(simd, &self.slabs[axis][side])
     }
 }
