@@ -241,3 +241,55 @@ fn a_render_tells_its_error_and_meets_a_tolerance() {
     );
     assert!(report["error"]["aovs"]["visibility"].as_f64().is_some());
 }
+
+/// A picture of a rough ball on such a floor, and what the run tells.
+fn picture(inputs: &str, aovs: &str) -> (Vec<f32>, serde_json::Value) {
+    let ball = "def Sphere \"ball\" { double radius = 0.5\nrel material:binding = </World/Look>\ndouble3 xformOp:translate = (0, 0.5, 0)\nuniform token[] xformOpOrder = [\"xformOp:translate\"] }";
+    let (folder, path) = stage(&floor(inputs, &format!("{SKY}\n{ball}")));
+    let out = folder.path().join("out.exr");
+    let report = json(&run(&[
+        "render",
+        path.to_str().expect("UTF-8"),
+        "-o",
+        out.to_str().expect("UTF-8"),
+        "--usd",
+        "native",
+        "--aov",
+        aovs,
+        "--tolerance",
+        "0.05",
+        "--image-width",
+        "64",
+        "--json",
+    ]));
+    let image = exr::prelude::read_first_rgba_layer_from_file(
+        &out,
+        |size, _| (size.width(), vec![0.0; 3 * size.area()]),
+        |(width, pixels): &mut (usize, Vec<f32>), at, (r, g, b, _): (f32, f32, f32, f32)| {
+            let first = 3 * (at.y() * *width + at.x());
+            pixels[first..first + 3].copy_from_slice(&[r, g, b]);
+        },
+    );
+    let (_, pixels) = image.expect("a picture").layer_data.channel_data.pixels;
+    (pixels, report)
+}
+
+#[test]
+fn gloss_is_as_exact_as_the_color_it_is_part_of_needs() {
+    let inputs = "color3f inputs:diffuseColor = (0.7, 0.6, 0.5)\nfloat inputs:roughness = 0.6";
+    let (part, told) = picture(inputs, "color");
+    let (strict, of_both) = picture(inputs, "color,specular_indirect");
+    let aovs = |report: &serde_json::Value| {
+        let aovs = report["error"]["aovs"].as_object().expect("errors");
+        aovs.keys().cloned().collect::<Vec<_>>()
+    };
+    assert_eq!(aovs(&told), ["color"], "what is in the picture");
+    assert_eq!(aovs(&of_both), ["color", "specular_indirect"]);
+    let estimate = told["error"]["estimate"].as_f64().expect("an estimate");
+    assert!(estimate > 0.0 && estimate <= 0.05, "{estimate}");
+    let mean = strict.iter().sum::<f32>() / strict.len() as f32;
+    let squares = part.iter().zip(&strict).map(|(a, b)| (a - b).powi(2));
+    let error = (squares.sum::<f32>() / strict.len() as f32).sqrt() / mean;
+    // Diffuse light is the same; gloss is allowed 0.4 of the tolerance.
+    assert!(error > 0.0 && error < 0.4 * 0.05, "{error}");
+}

@@ -2,6 +2,7 @@
 
 use super::Error;
 use super::choice::{self, Chosen, Found};
+use super::gloss;
 use super::interpolated::InterpolatedMethod;
 use super::job::{EngineChoice, GatherJob, Part};
 use super::maps::{self, MapsKnobs};
@@ -123,35 +124,18 @@ pub(super) fn gather(
     if !aovs.contains(&Aov::Color) || receivers.toward_eye.is_empty() {
         return gather_each(world, receivers, aovs, job, run);
     }
-    let mut all = aovs.to_vec();
-    if !all.contains(&Aov::SpecularIndirect) {
-        all.push(Aov::SpecularIndirect);
-    }
-    let mut results = gather_each(world, receivers, &all, job, run)?;
-    add_gloss(&mut results);
+    let mut results = if aovs.contains(&Aov::SpecularIndirect) {
+        gather_each(world, receivers, aovs, job, run)?
+    } else {
+        gloss::gather_beside(world, receivers, aovs, job, run)?
+    };
+    gloss::add(&mut results);
     results.buffers.retain(|buffer| aovs.contains(&buffer.aov));
     Ok(results)
 }
 
-/// Add `specular_indirect` to `color`.
-fn add_gloss(results: &mut Results) {
-    let Some(gloss) = results.get(Aov::SpecularIndirect) else {
-        return;
-    };
-    let gloss = gloss.data.clone();
-    let colors = (results.buffers.iter_mut()).filter(|buffer| buffer.aov == Aov::Color);
-    for color in colors {
-        let colors = color.data.chunks_exact_mut(Aov::Color.components());
-        for (color, gloss) in colors.zip(gloss.as_chunks::<3>().0) {
-            for (sum, more) in color.iter_mut().zip(gloss) {
-                *sum += more;
-            }
-        }
-    }
-}
-
 /// Compute `aovs` at `receivers`: kinds of occlusion, and gloss, each by rays of their own, all others by one gather.
-fn gather_each(
+pub(super) fn gather_each(
     world: &World<'_>,
     receivers: &Receivers,
     aovs: &[Aov],
@@ -171,17 +155,17 @@ fn gather_each(
     let mut all = Results::default();
     for (part, group) in &groups {
         let run = (&mut *report, diagnostics);
-        let found = gather_group(world, (receivers, *part), group, job, run)?;
+        let found = gather_group(world, (receivers, *part), (group, None), job, run)?;
         all.buffers.extend(found.buffers);
     }
     Ok(all.in_order_of(aovs))
 }
 
-/// Compute `aovs`, which all ask about the same part of the hemisphere.
-fn gather_group(
+/// Compute `aovs`, which all ask about the same part of the hemisphere, and are part of a color of mean `beside`, if any.
+pub(super) fn gather_group(
     world: &World<'_>,
     (receivers, part): (&Receivers, Part),
-    aovs: &[Aov],
+    (aovs, beside): (&[Aov], Option<f64>),
     job: &GatherJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Results, Error> {
@@ -190,6 +174,21 @@ fn gather_group(
     let lit = spacing::lit(world, (receivers, aovs), job, (&mut *report, diagnostics))?;
     report.counts.surfels = report.counts.surfels.max(lit.light.len());
     let stand = Stand::new(world, &lit, receivers, aovs, job).about(part);
+    let loose;
+    let stand = match beside {
+        None => stand,
+        Some(whole) => {
+            let tolerance = timed(&mut report.seconds.gather, || {
+                gloss::tolerance_beside(&stand, whole, diagnostics)
+            })?;
+            report.error.tolerance = tolerance;
+            loose = GatherJob {
+                tolerance,
+                ..job.clone()
+            };
+            stand.asked_as(&loose)
+        }
+    };
     let found = choice::choose(&stand, report, diagnostics)?;
     let lighting = found.choice.lighting(world, diagnostics);
     let scene = GatherScene {

@@ -4,6 +4,7 @@ mod bake;
 mod choice;
 mod convert;
 mod gather;
+mod gloss;
 mod groups;
 mod info;
 mod interpolated;

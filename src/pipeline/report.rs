@@ -127,6 +127,12 @@ impl ErrorReport {
         self.method = method;
     }
 
+    /// Put an estimate of AOV `name` in place of that there is.
+    pub(super) fn put(&mut self, name: &str, estimate: f64) {
+        self.aovs.insert(name.to_owned(), estimate);
+        self.estimate = self.aovs.values().copied().reduce(f64::max);
+    }
+
     /// Put better estimates of the run at hand in place of those there are.
     pub(super) fn replace(&mut self, estimates: &[ErrorEstimate]) {
         for estimate in estimates {

@@ -69,6 +69,11 @@ impl<'a> Stand<'a> {
         }
     }
 
+    /// The same, asked as `job` does.
+    pub(super) fn asked_as(self, job: &'a GatherJob) -> Self {
+        Self { job, ..self }
+    }
+
     /// The same, asked about `part`.
     pub(super) fn about(self, part: Part) -> Self {
         Self { part, ..self }
