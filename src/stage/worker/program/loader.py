@@ -101,8 +101,6 @@ class Loader:
             roots.append(len(self.prims))
             self.walk_range(Usd.PrimRange(self.prototypes[done], Usd.PrimDefaultPredicate))
             done += 1
-        if "model:drawMode" in self.names.known:
-            self.add_kinds()
         for prim in self.prims:
             if "prototype" in prim:
                 prim["prototype"] = roots[prim["prototype"]]
@@ -160,12 +158,15 @@ class Loader:
     def prim_entries(self, prims):
         """Entries of `prims`, method by method: taking turns, the methods drive each other out of the processor's caches,
         and a walk takes twice as long."""
-        paths = [path.pathString for path in map(get_path, prims)]
-        entries = [{"path": path, "type": name} for path, name in zip(paths, map(get_type_name, prims))]
-        for entry, schemas in zip(entries, map(get_schemas, prims)):
+        paths = [path.pathString for path in list(map(get_path, prims))]
+        entries = [{"path": path, "type": name} for path, name in zip(paths, list(map(get_type_name, prims)))]
+        for entry, schemas in zip(entries, list(map(get_schemas, prims))):
             if schemas:
                 entry["schemas"] = list(map(str, schemas))
-        instances = [(entry, prim) for entry, prim, of in zip(entries, prims, map(is_instance, prims)) if of]
+        for entry, kind in zip(entries, list(map(get_kind, prims))):
+            if kind:
+                entry["kind"] = kind
+        instances = [(entry, prim) for entry, prim, of in zip(entries, prims, list(map(is_instance, prims))) if of]
         prototypes = [get_prototype(prim) for _, prim in instances]
         for (entry, _), number in zip(instances, map(self.prototype_number, prototypes)):
             entry["prototype"] = number
@@ -204,13 +205,6 @@ class Loader:
                     entry[key] = value
         self.add_ops(ops)
         self.add_others(others)
-
-    def add_kinds(self):
-        """Kinds, which matter where something has a draw mode."""
-        for prim in self.prims:
-            kind = get_metadata(self.stage.GetPrimAtPath(prim["path"]), "kind")
-            if kind:
-                prim["kind"] = str(kind)
 
     @staticmethod
     def materialx_entry(prim):

@@ -67,6 +67,7 @@ get_name = Usd.Object.GetName
 get_metadata = Usd.Object.GetMetadata
 has_metadata = Usd.Object.HasAuthoredMetadata
 get_type_name = Usd.Prim.GetTypeName
+get_kind = Usd.Prim.GetKind
 get_schemas = Usd.Prim.GetAppliedSchemas
 get_properties = Usd.Prim.GetAuthoredProperties
 is_instance = Usd.Prim.IsInstance
