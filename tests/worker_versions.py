@@ -3,7 +3,7 @@
     python3.11 tests/worker_versions.py [VERSION ...]        (default: 24.3 24.11 25.11 26.11)
 
 An environment for each version is made below target/usd-core-VERSION, once (0.4 GB each). Prints one line a version;
-exit code 1 if an answer differs from that of the first version. Speaks to src/stage/worker/worker.py directly, so
+exit code 1 if an answer differs from that of the first version. Speaks to src/stage/worker/program directly, so
 nothing has to be built. Python 3.11 is the newest that usd-core 24.3 has wheels for.
 """
 import json
@@ -14,7 +14,8 @@ import tempfile
 import venv
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-PROGRAM = (ROOT / "src/stage/worker/worker.py").read_text()
+PARTS = ["start", "values", "loader", "worker"]  # as in src/stage/worker/process.rs
+PROGRAM = "".join((ROOT / ("src/stage/worker/program/%s.py" % part)).read_text() for part in PARTS)
 VERSIONS = ["24.3", "24.11", "25.11", "26.11"]
 ATTRIBUTES = ["points", "xformOp:*", "xformOpOrder", "faceVertexCounts", "faceVertexIndices", "primvars:*", "size"]
 

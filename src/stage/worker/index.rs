@@ -10,7 +10,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// What `worker.py` answers to a load.
+/// What the worker answers to a load.
 #[derive(Debug, Deserialize)]
 pub(super) struct Index {
     meta: Meta,
@@ -81,7 +81,7 @@ struct Attribute {
     held: Option<(Number, Content)>,
 }
 
-/// A value by kind, as `worker.py` spells them.
+/// A value by kind, as `program/values.py` spells them.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Content {

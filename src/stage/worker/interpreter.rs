@@ -12,7 +12,7 @@ const VARIABLE: &str = "SURFLUX_USD_PYTHON";
 /// Importing takes 0.2 s from a warm disk; a network disk may need some seconds.
 const IMPORT_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Imports what the worker imports, with the current folder out of the way as in `worker.py`.
+/// Imports what the worker imports, with the current folder out of the way as in `program/start.py`.
 const IMPORTS: &str =
     "import sys; sys.path[:] = [p for p in sys.path if p]; from pxr import Usd; import numpy";
 

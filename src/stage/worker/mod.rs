@@ -1,7 +1,7 @@
 //! The usd-core door: a persistent Python process that reads the stage with Pixar's USD, answers in JSON lines and
 //! hands arrays over in one flat memory-mapped file a load.
 //!
-//! `worker.py` does all traversal, so that a load is one message whatever the size of the stage. What USD warns of
+//! `program/` (Python) does all traversal, so that a load is one message whatever the size of the stage. What USD warns of
 //! while it composes comes back with the answer and becomes warnings of kind `usd`.
 
 mod array_file;

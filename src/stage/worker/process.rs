@@ -13,8 +13,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// The whole worker; given to the interpreter on its command line, so that no file has to be found at run time.
-const PROGRAM: &str = include_str!("worker.py");
+/// The whole worker, of parts that each use the names of those before; given to the interpreter on its command line, so
+/// that no file has to be found at run time.
+const PROGRAM: &str = concat!(
+    include_str!("program/start.py"),
+    include_str!("program/values.py"),
+    include_str!("program/loader.py"),
+    include_str!("program/worker.py"),
+);
 
 /// How often a waiting run looks whether it was cancelled.
 const POLL: Duration = Duration::from_millis(20);
