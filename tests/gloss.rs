@@ -245,7 +245,8 @@ fn a_render_tells_its_error_and_meets_a_tolerance() {
 /// A picture of a rough ball on such a floor, and what the run tells.
 fn picture(inputs: &str, aovs: &str) -> (Vec<f32>, serde_json::Value) {
     let ball = "def Sphere \"ball\" { double radius = 0.5\nrel material:binding = </World/Look>\ndouble3 xformOp:translate = (0, 0.5, 0)\nuniform token[] xformOpOrder = [\"xformOp:translate\"] }";
-    let (folder, path) = stage(&floor(inputs, &format!("{SKY}\n{ball}")));
+    let near = "def Camera \"near\" { double3 xformOp:translate = (0, 0.4, 6)\nuniform token[] xformOpOrder = [\"xformOp:translate\"] }";
+    let (folder, path) = stage(&floor(inputs, &format!("{SKY}\n{ball}\n{near}")));
     let out = folder.path().join("out.exr");
     let report = json(&run(&[
         "render",
@@ -254,6 +255,8 @@ fn picture(inputs: &str, aovs: &str) -> (Vec<f32>, serde_json::Value) {
         out.to_str().expect("UTF-8"),
         "--usd",
         "native",
+        "--camera",
+        "/World/near",
         "--aov",
         aovs,
         "--tolerance",

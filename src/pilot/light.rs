@@ -31,6 +31,8 @@ pub(super) struct LightError {
     pub(super) relative: Vec<f64>,
     /// Mean magnitude of each AOV.
     pub(super) means: Vec<f64>,
+    /// The same of what surfaces reflect diffusely in `color`, if that is among them.
+    pub(super) reflected: Option<f64>,
     /// The light with four times the samples, if it was looked at, and the relative error of each AOV there.
     pub(super) finer: Option<(Results, Vec<f64>)>,
 }
@@ -73,6 +75,10 @@ pub(super) fn measure(
     let mut looked_at = aovs.to_vec();
     let measured = aovs.iter().map(|&aov| measured_as(aov));
     looked_at.extend(measured.filter(|aov| aov.needs_environment() && !aovs.contains(aov)));
+    let has_color = aovs.contains(&Aov::Color);
+    if has_color && !looked_at.contains(&Aov::DiffuseIndirect) {
+        looked_at.push(Aov::DiffuseIndirect);
+    }
     let look = |scene: GatherScene<'_>| -> Result<Results, Cancelled> {
         engine.gather(scene, receivers, &looked_at, diagnostics)
     };
@@ -85,6 +91,7 @@ pub(super) fn measure(
         .iter()
         .map(|column| mean_magnitude(column))
         .collect();
+    let reflected = values(&run, Aov::DiffuseIndirect).filter(|_| has_color);
     let mut errors = vec![0.0; aovs.len()];
     let lit = aovs.iter().any(|&aov| is_lit(aov));
     let finer = pilot.scenes.finer.filter(|_| lit).map(look).transpose()?;
@@ -107,6 +114,7 @@ pub(super) fn measure(
         scale,
         relative: errors,
         means,
+        reflected: reflected.map(|values| mean_magnitude(&values)),
         finer,
     })
 }
