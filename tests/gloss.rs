@@ -296,3 +296,29 @@ fn gloss_is_as_exact_as_the_color_it_is_part_of_needs() {
     // Diffuse light is the same; gloss is allowed 0.4 of the tolerance.
     assert!(error > 0.0 && error < 0.4 * 0.05, "{error}");
 }
+
+#[test]
+fn gloss_that_is_little_of_the_color_of_a_light_group_misses_no_tolerance() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("out.exr");
+    let report = json(&run(&[
+        "render",
+        concat!(env!("CARGO_MANIFEST_DIR"), "/examples/teapots_lights.usda"),
+        "-o",
+        out.to_str().expect("UTF-8"),
+        "--usd",
+        "native",
+        "--aov",
+        "color",
+        "--tolerance",
+        "0.05",
+        "--image-width",
+        "48",
+        "--light-groups",
+        "warm=/Box/ball",
+        "--json",
+    ]));
+    assert_eq!(report["warnings"], serde_json::json!([]));
+    let estimate = report["error"]["estimate"].as_f64().expect("an estimate");
+    assert!(estimate > 0.0 && estimate <= 0.05, "{estimate}");
+}

@@ -217,7 +217,9 @@ pub(super) fn gather_group(
         Chosen::Maps(knobs) => see_maps(&stand, scene, (&knobs, &found), run)?,
     };
     report.counts.nodes = report.counts.nodes.max(stand.node_count());
-    choice::judge(report, diagnostics);
+    if beside.is_none() {
+        choice::judge(report, diagnostics);
+    }
     Ok(results)
 }
 
