@@ -106,10 +106,9 @@ impl<'a> HitLight<'a> {
             return Vec3::ZERO;
         }
         let world = PlacedMesh::of(self.shader.scene(), hit.prim);
-        let plane = world.plane_normal(hit.triangle).normalize_or(Vec3::Y);
-        let weights = Vec3::new(1.0 - hit.u - hit.v, hit.u, hit.v);
-        let point = ShadePoint::on_side(&world, (hit.triangle, weights), plane, !hit.front)
-            .of_prim(hit.prim);
+        let side = if hit.front { 1.0 } else { -1.0 };
+        let plane = world.plane_normal(hit.triangle).normalize_or(Vec3::Y) * side;
+        let point = ShadePoint::at_hit(&world, hit, plane);
         albedo * self.lighting.glimpse(self.tracer, &point, number(hit)) * FRAC_1_PI
     }
 }

@@ -9,6 +9,7 @@ use super::shaping::WorldShaping;
 use super::stand::Stand;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Light, LightKind};
+use crate::trace::{TOGETHER, Way};
 use glam::{Affine3A, Vec2, Vec3};
 
 /// Samples along each side of a light whose unshadowed irradiance has no closed form; they cost no rays.
@@ -129,6 +130,27 @@ impl AreaLight {
         unshadowed * visible
     }
 
+    /// What a lobe reflects if all of the light were like one place on it, the one numbered `turn`: `brdf` (1/sr) tells how much
+    /// of the light from a unit direction.
+    pub(super) fn glint(
+        &self,
+        patterns: &Patterns,
+        stand: &Stand<'_>,
+        turn: usize,
+        brdf: &dyn Fn(Vec3) -> Vec3,
+    ) -> Vec3 {
+        let square = patterns.shadow[turn % patterns.shadow.len()];
+        let Some(sample) = self.shape.sample(stand.point, square) else {
+            return Vec3::ZERO;
+        };
+        let irradiance = self.radiance * self.factor(&sample, patterns.shadow_width);
+        let reflected = brdf(sample.to_light) * irradiance * sample.weight;
+        if reflected == Vec3::ZERO {
+            return Vec3::ZERO;
+        }
+        reflected * self.visible(&sample, stand)
+    }
+
     /// Irradiance if nothing were in the way.
     pub(super) fn open(&self, patterns: &Patterns, point: &ShadePoint) -> Vec3 {
         self.unshadowed(patterns, point) * self.radiance
@@ -203,20 +225,16 @@ impl AreaLight {
         let squares = &patterns.shadow;
         let quarter = squares.len().div_ceil(4);
         let (mut all, mut lit) = (Vec3::ZERO, Vec3::ZERO);
-        for (index, &square) in squares.iter().enumerate() {
+        for part in [&squares[..quarter], &squares[quarter..]] {
             let is_unanimous = lit == Vec3::ZERO || lit == all;
-            if index == quarter && is_unanimous && all != Vec3::ZERO {
+            if is_unanimous && all != Vec3::ZERO {
                 break;
             }
-            let Some(sample) = self.shape.sample(stand.point, square) else {
-                continue;
-            };
-            let weight = sample.weight * self.factor(&sample, patterns.shadow_width);
-            if weight == Vec3::ZERO {
-                continue;
+            for some in part.chunks(TOGETHER) {
+                let arrival = self.arrival(some, patterns, stand);
+                all += arrival.open;
+                lit += arrival.lit;
             }
-            all += weight;
-            lit += weight * self.visible(&sample, stand);
         }
         let share = |lit: f32, all: f32| if all > 0.0 { lit / all } else { 0.0 };
         Vec3::new(
@@ -224,6 +242,35 @@ impl AreaLight {
             share(lit.y, all.y),
             share(lit.z, all.z),
         )
+    }
+
+    /// What comes from the places `some`, at most [`TOGETHER`], of the light.
+    fn arrival(&self, some: &[Vec2], patterns: &Patterns, stand: &Stand<'_>) -> Arrival {
+        let (mut weights, mut ways) = ([Vec3::ZERO; TOGETHER], [Way::NONE; TOGETHER]);
+        let mut count = 0;
+        let mut arrival = Arrival::default();
+        for &square in some {
+            let Some(sample) = self.shape.sample(stand.point, square) else {
+                continue;
+            };
+            let weight = sample.weight * self.factor(&sample, patterns.shadow_width);
+            arrival.open += weight;
+            let way = (weight != Vec3::ZERO)
+                .then(|| stand.way(sample.position, sample.to_light))
+                .flatten();
+            if let Some(way) = way {
+                (weights[count], ways[count]) = (weight, way);
+                count += 1;
+            }
+        }
+        if !self.casts_shadows {
+            arrival.lit = weights.iter().sum();
+            return arrival;
+        }
+        let open = stand.tracer.transmittances(&ways[..count]);
+        let lit = weights.iter().zip(open);
+        arrival.lit = lit.map(|(&weight, open)| weight * open).sum();
+        arrival
     }
 
     /// How much of the light from there arrives, 0…1.
@@ -246,6 +293,13 @@ impl AreaLight {
             (self.texture.as_ref()).map_or(Vec3::ONE, |texture| texture.color(sample.local, width));
         shaping * texture
     }
+}
+
+/// Light from some places, for radiance 1: if nothing were in the way, and as it is.
+#[derive(Debug, Clone, Copy, Default)]
+struct Arrival {
+    open: Vec3,
+    lit: Vec3,
 }
 
 /// `None` if it has no extent where it should.

@@ -97,14 +97,19 @@ impl LinkedLights {
         lights.map(|linked| self.ask(linked, stand, &of)).sum()
     }
 
-    /// Irradiance by one look a light or, where there are many, by one in all: at one of those that would give most if nothing
-    /// were in the way, in proportion to that, about. `number` chooses it and the place on it; the mean over all numbers is the truth.
-    pub(super) fn glimpse(&self, patterns: &Patterns, stand: &Stand<'_>, number: u32) -> Vec3 {
+    /// The sum of what `of` says of lights, by one look a light or, where there are many, by one in all: at one of those that
+    /// would give most if nothing were in the way, in proportion to that, about. `number` chooses it; in the mean over all numbers
+    /// all are looked at.
+    pub(super) fn glimpse(
+        &self,
+        patterns: &Patterns,
+        stand: &Stand<'_>,
+        number: u32,
+        of: &impl Fn(&AreaLight, &Stand<'_>) -> Vec3,
+    ) -> Vec3 {
         let count = self.lights.len();
         if count <= FEW {
-            return self.sum(stand, |light, stand| {
-                light.glance(patterns, stand, number as usize)
-            });
+            return self.sum(stand, of);
         }
         let weighed = count.min(MOST_WEIGHED);
         let start = fraction(sequence::hash(number));
@@ -136,7 +141,7 @@ impl LinkedLights {
             part: &|_| 1.0,
             looks: 1.0,
         };
-        self.looked_at(&chosen, patterns, stand, number) * (count as f32 / weighed as f32)
+        self.looked_at(&chosen, stand, number, of) * (count as f32 / weighed as f32)
     }
 
     /// Weight of a light that is infinitely far, as those of [`Beacons::at`].
@@ -145,13 +150,13 @@ impl LinkedLights {
         light.open(patterns, stand.point).element_sum()
     }
 
-    /// Sum over the lights by a few looks at those chosen by `number`, in proportion to their weights.
+    /// Sum of what `of` says of lights, by a few looks at those chosen by `number`, in proportion to their weights.
     fn looked_at(
         &self,
         chosen: &Chosen<'_>,
-        patterns: &Patterns,
         stand: &Stand<'_>,
         number: u32,
+        of: &impl Fn(&AreaLight, &Stand<'_>) -> Vec3,
     ) -> Vec3 {
         let step = chosen.weights.iter().sum::<f32>() / chosen.looks;
         let mut next = fraction(sequence::hash(!number)) * step;
@@ -165,11 +170,8 @@ impl LinkedLights {
             }
             let linked = &self.lights[(chosen.light)(k)];
             if looks > 0.0 && linked.lights(stand) {
-                let glance = |light: &AreaLight, stand: &Stand<'_>| {
-                    light.glance(patterns, stand, number as usize)
-                };
                 let times = looks * step * (chosen.part)(k) / weight;
-                sum += self.ask(linked, stand, &glance) * times;
+                sum += self.ask(linked, stand, of) * times;
             }
         }
         sum
@@ -228,7 +230,10 @@ impl LinkedLights {
                 part: &|k| minor(self.beacons.at(k, stand.point)),
                 looks: LOOKS,
             };
-            *light += self.looked_at(&chosen, patterns, &stand, number);
+            let glance = |light: &AreaLight, stand: &Stand<'_>| {
+                light.glance(patterns, stand, number as usize)
+            };
+            *light += self.looked_at(&chosen, &stand, number, &glance);
         }
     }
 

@@ -22,7 +22,7 @@ pub use environment::{EnvironmentCell, EnvironmentSet, SkyLight};
 use crate::diagnostics::Diagnostics;
 use crate::scene::{PlacedMesh, PrimId, Scene, on_the_side_of};
 use crate::shading::{Shader, SurfacePoint};
-use crate::trace::Tracer;
+use crate::trace::{Hit, Tracer};
 use emitters::{EmitterPatterns, Emitters};
 use environment::Environment;
 use glam::Vec3;
@@ -72,6 +72,13 @@ impl ShadePoint {
             smooth_offset,
             prim: None,
         }
+    }
+
+    /// Where a ray met `world`, on the side that it met; `plane` is the unit normal of the triangle's plane on that side.
+    pub fn at_hit(world: &PlacedMesh<'_>, hit: &Hit, plane: Vec3) -> Self {
+        let weights = Vec3::new(1.0 - hit.u - hit.v, hit.u, hit.v);
+        let front = if hit.front { plane } else { -plane };
+        Self::on_side(world, (hit.triangle, weights), front, !hit.front).of_prim(hit.prim)
     }
 
     /// The same point as one of `prim`.
@@ -340,7 +347,26 @@ impl Lighting {
         } else {
             Vec3::ZERO
         };
-        (self.lights).glimpse(&self.fine.lights, &stand, number) + sky
+        let patterns = &self.fine.lights;
+        let of =
+            |light: &AreaLight, stand: &Stand<'_>| light.glance(patterns, stand, number as usize);
+        (self.lights).glimpse(patterns, &stand, number, &of) + sky
+    }
+
+    /// What a lobe reflects of all lights, by the rays of [`Self::glimpse`]: `brdf` (1/sr) tells how much of the light from a
+    /// unit direction. Domes and emissive surfaces are left out.
+    pub fn glint(
+        &self,
+        tracer: &Tracer,
+        point: &ShadePoint,
+        number: u32,
+        brdf: &dyn Fn(Vec3) -> Vec3,
+    ) -> Vec3 {
+        let patterns = &self.fine.lights;
+        let of = |light: &AreaLight, stand: &Stand<'_>| {
+            light.glint(patterns, stand, number as usize, brdf)
+        };
+        (self.lights).glimpse(patterns, &Stand::new(tracer, point), number, &of)
     }
 
     fn lights_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {

@@ -6,7 +6,7 @@
 //! above the plane start on the triangle, so that nothing else changes.
 
 use super::{ShadePoint, end_before};
-use crate::trace::Tracer;
+use crate::trace::{Tracer, Way};
 use glam::Vec3;
 use std::cell::OnceCell;
 
@@ -103,14 +103,39 @@ impl<'a> Stand<'a> {
 
     /// Part of the light that comes through what is between the receiver and `position`, which lies in unit `direction`.
     pub(super) fn sees(&self, position: Vec3, direction: Vec3) -> f32 {
-        self.start(direction).map_or(0.0, |start| {
-            let offset = position - start;
-            let distance = offset.length();
-            if distance == 0.0 {
-                return 1.0;
-            }
-            let end = end_before(distance);
-            self.tracer.transmittance(start, offset / distance, end)
+        self.way(Some(position), direction).map_or(0.0, |way| {
+            let Way {
+                origin,
+                direction,
+                max_distance,
+            } = way;
+            self.tracer.transmittance(origin, direction, max_distance)
+        })
+    }
+
+    /// The way to `position`, or as far as the sky is where there is none, in unit `direction`; `None` where the surface itself
+    /// hides it.
+    pub(super) fn way(&self, position: Option<Vec3>, direction: Vec3) -> Option<Way> {
+        let origin = self.start(direction)?;
+        let Some(position) = position else {
+            return Some(Way {
+                origin,
+                direction,
+                max_distance: self.reach,
+            });
+        };
+        let offset = position - origin;
+        let distance = offset.length();
+        // At the light itself nothing is in between: a way of no length is open.
+        let is_there = distance == 0.0;
+        Some(Way {
+            origin,
+            direction: if is_there {
+                direction
+            } else {
+                offset / distance
+            },
+            max_distance: end_before(distance),
         })
     }
 }

@@ -136,6 +136,7 @@ impl<'a> Stand<'a> {
         let lobes = Lobes {
             shader: self.world.shader,
             lighting: Some(&self.world.lighting),
+            tracer: &self.world.tracer,
         };
         engine.of_lobes(lobes, settings)
     }

@@ -1,7 +1,7 @@
 //! What a surface reflects besides diffusely: the GGX lobes of UsdPreviewSurface.
 
 use glam::{Vec2, Vec3};
-use std::f32::consts::TAU;
+use std::f32::consts::{PI, TAU};
 
 /// A lobe of microfacets. Walter et al., *Microfacet Models for Refraction through Rough Surfaces* (2007).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -87,6 +87,20 @@ impl Lobe {
         })
     }
 
+    /// Reflected radiance over irradiance, 1/sr: D·F·G₂ / (4 cos cos). Unit vectors in a frame whose Z is the normal, away from
+    /// the surface; black below the horizon. Walter et al. (2007), with masking and shadowing that know of each other's height.
+    pub fn brdf(&self, view: Vec3, light: Vec3) -> Vec3 {
+        if view.z <= 0.0 || light.z <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let facet = (view + light).normalize_or(Vec3::Z);
+        let square = self.alpha * self.alpha;
+        let spread = facet.z * facet.z * (square - 1.0) + 1.0;
+        let density = square / (PI * spread * spread);
+        let open = 1.0 / (1.0 + self.masked(view) + self.masked(light));
+        self.fresnel(view.dot(facet)) * (density * open / (4.0 * view.z * light.z))
+    }
+
     /// Smith's Λ: how much of the microsurface is hidden from `direction`, over what is seen of it.
     fn masked(&self, direction: Vec3) -> f32 {
         let slope =
@@ -114,9 +128,8 @@ impl Gloss {
 mod tests {
     use super::*;
     use crate::math::sequence;
-    use std::f32::consts::PI;
 
-    /// What `lobe` reflects of a white sky, by its BRDF D·F·G₂ / (4 cos cos), integrated over a fine grid of directions.
+    /// What `lobe` reflects of a white sky, by its BRDF, integrated over a fine grid of directions.
     fn albedo_by_integration(lobe: &Lobe, view: Vec3) -> f64 {
         let (rings, sectors) = (1500_u16, 600_u16);
         let mut sum = 0.0_f64;
@@ -126,12 +139,7 @@ mod tests {
                 let phi = (f32::from(sector) + 0.5) / f32::from(sectors) * TAU;
                 let (sin, cos) = theta.sin_cos();
                 let light = Vec3::new(sin * phi.cos(), sin * phi.sin(), cos);
-                let facet = (light + view).normalize();
-                let a2 = lobe.alpha * lobe.alpha;
-                let d = a2 / (PI * (facet.z * facet.z * (a2 - 1.0) + 1.0).powi(2));
-                let g = 1.0 / (1.0 + lobe.masked(view) + lobe.masked(light));
-                let f = lobe.fresnel(view.dot(facet)).x;
-                sum += f64::from(d * f * g / (4.0 * view.z) * sin);
+                sum += f64::from(lobe.brdf(view, light).x * light.z * sin);
             }
         }
         sum * f64::from(0.5 * PI / f32::from(rings)) * f64::from(TAU / f32::from(sectors))

@@ -15,7 +15,7 @@ mod wide;
 
 use crate::math::Bounds3;
 use crate::scene::{Mesh, PlacedMesh, Prim, PrimId, Scene};
-pub use beam::Beam;
+pub use beam::{Beam, TOGETHER, Way};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Affine3A, Vec3};
 use ray::Ray;
@@ -239,13 +239,16 @@ impl Tracer {
         let Some(mut ray) = Ray::new(origin, direction, max_distance) else {
             return false;
         };
-        if self.world.triangles.occluded(simd, &mut ray) {
-            return true;
-        }
+        self.world.triangles.occluded(simd, &mut ray) || self.meets_occurrence(simd, &mut ray)
+    }
+
+    /// True if `ray` meets one of several occurrences of a mesh.
+    #[inline(always)]
+    fn meets_occurrence<S: Simd>(&self, simd: S, ray: &mut Ray) -> bool {
         let mut hit = false;
         self.top.traverse::<FARTHEST_FIRST, S>(
             simd,
-            &mut ray,
+            ray,
             #[inline(always)]
             |leaf, ray| {
                 for occurrence in self.occurrences_of(leaf) {

@@ -179,8 +179,13 @@ impl Tracer {
         if self.solid_occluded(origin, direction, max_distance) {
             return 0.0;
         }
+        self.screened((origin, direction), max_distance)
+    }
+
+    /// Part of the light that comes through what lets light through.
+    pub(super) fn screened(&self, ray: (Vec3, Vec3), max_distance: f32) -> f32 {
         match &self.screens {
-            Some(screens) => screens.pass((origin, direction), max_distance, &mut Vec::new()),
+            Some(screens) => screens.pass(ray, max_distance, &mut Vec::new()),
             None => 1.0,
         }
     }

@@ -1,5 +1,6 @@
 //! The tracer against brute force in `f64`, flattened instances, closed boxes and extreme scales.
 
+mod beams;
 mod fans;
 
 use super::testing::{Random, mesh, scene};
@@ -483,42 +484,6 @@ fn packets_hit_what_their_rays_hit_to_the_last_bit() {
         }
     }
     assert!(blocked > 2000 && found > 2000, "{blocked} {found}");
-}
-
-#[test]
-fn beams_hit_what_their_rays_hit_to_the_last_bit() {
-    let mut random = Random(57);
-    let scene = mixed_scene(&mut random);
-    let mut beam = Beam::default();
-    let (mut hits, mut rays) = (0, 0);
-    for most_copies in [usize::MAX, 0] {
-        let tracer = Tracer::with_copies(&scene, most_copies, |_| true);
-        for i in 0..1500 {
-            // From rays that are one to such that look everywhere; every 20th is no ray.
-            let width = [0.0, 1e-6, 1e-3, 0.05, 2.0][i % 5];
-            let (eye, ahead) = (1.5 * random.vector(), random.direction());
-            let asked: Vec<_> = (0..i % 70)
-                .map(|k| {
-                    let direction = (ahead + width * random.vector()).normalize();
-                    let origin = eye + 0.1 * width * random.vector();
-                    let broken = if k % 20 == 19 { f32::NAN } else { 1.0 };
-                    (origin * broken, direction, 0.2 + 2.0 * random.next())
-                })
-                .collect();
-            beam.clear();
-            for &(origin, direction, length) in &asked {
-                beam.push(origin, direction, length);
-            }
-            tracer.solid_closest_in(&mut beam);
-            for (k, &(origin, direction, length)) in asked.iter().enumerate() {
-                let alone = tracer.solid_closest(origin, direction, length);
-                assert_eq!(beam.hit(k), alone, "{i} {k}");
-                hits += usize::from(alone.is_some());
-                rays += 1;
-            }
-        }
-    }
-    assert!(hits > rays / 10 && hits < rays, "{hits} of {rays}");
 }
 
 #[test]

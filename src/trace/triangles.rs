@@ -145,6 +145,38 @@ impl Triangles {
         }
     }
 
+    /// [`Self::occluded`] for all of `rays`, which lie close together, into `is_blocked`. Those that are lose their length.
+    #[inline(always)]
+    pub(super) fn occluded_in<S: Simd>(
+        &self,
+        simd: S,
+        (rays, is_blocked): (&mut [Ray], &mut [bool]),
+    ) {
+        let is_done = self.tree.traverse_beam(
+            simd,
+            rays,
+            MOST_LEAVES,
+            #[inline(always)]
+            |leaf, rays| {
+                for (ray, is_blocked) in rays.iter_mut().zip(is_blocked.iter_mut()) {
+                    if *is_blocked {
+                        continue;
+                    }
+                    let sheared = self.blocks[leaf.block].sheared(simd, &ray.line);
+                    let lanes = sheared.meet(simd, ray.place, ray.line.scale);
+                    if lanes.is_some_and(|lanes| lanes.any_before(ray.max_distance)) {
+                        (ray.max_distance, *is_blocked) = (0.0, true);
+                    }
+                }
+            },
+        );
+        if !is_done {
+            for (ray, is_blocked) in rays.iter_mut().zip(is_blocked) {
+                *is_blocked = *is_blocked || self.occluded(simd, ray);
+            }
+        }
+    }
+
     /// True if anything is hit closer than the ray's limit.
     #[inline(always)]
     pub(super) fn occluded<S: Simd>(&self, simd: S, ray: &mut Ray) -> bool {

@@ -10,6 +10,7 @@ use super::ray::Ray;
 use crate::math::Bounds3;
 use fearless_simd::Simd;
 pub(super) use packet::{Column, LANES, PACKET_SIZE, Packet, ROWS, load, row_of};
+use std::ops::Range;
 
 /// Most items of one leaf.
 pub(super) const LEAF_SIZE: usize = 4;
@@ -116,14 +117,27 @@ impl Wide {
             while children != 0 {
                 let child = children.trailing_zeros() as usize;
                 children &= children - 1;
-                let mut at = top;
-                while at > first && (stack[at - 1].1 < near[child]) == ORDER {
-                    stack[at] = stack[at - 1];
-                    at -= 1;
-                }
-                stack[at] = (node.children[child], near[child]);
+                let entry = (node.children[child], near[child]);
+                put::<ORDER, _>(&mut stack, first..top, entry, |entry| entry.1);
                 top += 1;
             }
         }
     }
+}
+
+/// Put `entry` among those of `stack` at `places`, which `ORDER` holds for, and push those behind it on by one: the nearest is
+/// taken off first, or last where `ORDER` is false.
+#[inline(always)]
+fn put<const ORDER: bool, E: Copy>(
+    stack: &mut [E; STACK_SIZE],
+    places: Range<usize>,
+    entry: E,
+    near: impl Fn(&E) -> f32,
+) {
+    let mut at = places.end;
+    while at > places.start && (near(&stack[at - 1]) < near(&entry)) == ORDER {
+        stack[at] = stack[at - 1];
+        at -= 1;
+    }
+    stack[at] = entry;
 }

@@ -1,6 +1,6 @@
 //! Rays that lie close together through the tree: boxes against what all of them span.
 
-use super::{LEAF, Leaf, Node, STACK_SIZE, WIDTH, Wide};
+use super::{LEAF, Leaf, Node, STACK_SIZE, WIDTH, Wide, put};
 use crate::trace::ray::{FAR_MARGIN, Ray};
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x8};
@@ -102,12 +102,8 @@ impl Wide {
             while children != 0 {
                 let child = children.trailing_zeros() as usize;
                 children &= children - 1;
-                let mut at = top;
-                while at > first && stack[at - 1].1 < near[child] {
-                    stack[at] = stack[at - 1];
-                    at -= 1;
-                }
-                stack[at] = (node.children[child], near[child]);
+                let entry = (node.children[child], near[child]);
+                put::<true, _>(&mut stack, first..top, entry, |entry| entry.1);
                 top += 1;
             }
         }

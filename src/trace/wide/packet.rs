@@ -4,7 +4,7 @@
 //! remain with sixteen rays at a time.
 
 use super::boxes::{Boxes, Stored};
-use super::{LEAF, Leaf, Node, STACK_SIZE, WIDTH, Wide};
+use super::{LEAF, Leaf, Node, STACK_SIZE, WIDTH, Wide, put};
 use crate::trace::ray::{FAR_MARGIN, Line, ORIGIN_MARGIN};
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, mask32x16};
@@ -229,16 +229,12 @@ impl Wide {
             let first = top;
             for child in 0..WIDTH {
                 if inside[child] != 0 {
-                    let mut at = top;
-                    while at > first && (stack[at - 1].near < near[child]) == ORDER {
-                        stack[at] = stack[at - 1];
-                        at -= 1;
-                    }
-                    stack[at] = Entry {
+                    let entry = Entry {
                         child: node.children[child],
                         near: near[child],
                         lanes: inside[child],
                     };
+                    put::<ORDER, _>(&mut stack, first..top, entry, |entry| entry.near);
                     top += 1;
                 }
             }
