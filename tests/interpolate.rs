@@ -9,6 +9,7 @@ use scenes::{SceneBuilder, Side, ball_in_a_box, bowl, plate, receivers_in};
 use std::f32::consts::PI;
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::diagnostics::Diagnostics;
+use surflux::gather::rays::lobe::Lobes;
 use surflux::gather::{
     DicedSurfels, GatherScene, RadianceSource, RaysEngine, RaysSettings, gather,
 };
@@ -16,7 +17,7 @@ use surflux::interpolate::{self, Gathering, InterpolateSettings, Interpolated};
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::receivers::Receivers;
 use surflux::results::{Aov, Results};
-use surflux::scene::{PrimId, Scene};
+use surflux::scene::{FaceMaterials, Input, Material, MaterialId, PrimId, Scene};
 use surflux::shading::Shader;
 use surflux::trace::Tracer;
 
@@ -77,10 +78,12 @@ impl Run<'_> {
         let diagnostics = Diagnostics::default();
         let shader = Shader::new(self.scene, &diagnostics);
         let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
+        let kinds = self.engine.kinds(self.receivers);
         let gathering = Gathering {
             scene: self.scene(&shader, &lighting),
             engine: self.engine,
             receivers: self.receivers,
+            kinds: kinds.as_deref(),
             aovs: self.aovs,
         };
         let settings = InterpolateSettings { tolerance };
@@ -194,6 +197,64 @@ fn what_is_refused_is_gathered_at_every_receiver() {
         let whole = run.whole();
         let [a, b] = [&found.results, &whole].map(|all| values(all, Aov::IrradianceIndirect));
         assert!(a == b, "{}", relative_rmse(a, b));
+    });
+}
+
+/// What walls reflect towards the middle of the box, by so many rays: one half is plastic (roughness 0.5), one smooth metal.
+fn with_gloss(count: u32, check: impl FnOnce(Run<'_>)) {
+    let mut scene = ball_in_a_box(48);
+    let metal = Material {
+        metallic: Input::scalar(1.0),
+        roughness: Input::scalar(0.2),
+        ..Material::default()
+    };
+    scene.materials = vec![Material::default(), metal];
+    let faces = scene.mesh_of(&scene.prims[0]).triangles.len();
+    let look = |face| Some(MaterialId(u32::from(2 * face >= faces)));
+    scene.prims[0].materials = FaceMaterials::PerFace((0..faces).map(look).collect());
+    let tracer = Tracer::new(&scene);
+    let baked = spots(&scene, &tracer);
+    let mut receivers = receivers_in(&scene, PrimId(0), 1);
+    receivers.toward_eye = (receivers.position.iter())
+        .map(|position| (-*position).normalize())
+        .collect();
+    let diagnostics = Diagnostics::default();
+    let shader = Shader::new(&scene, &diagnostics);
+    let lobes = Lobes {
+        shader: &shader,
+        lighting: None,
+        tracer: &tracer,
+    };
+    let settings = rays(count, 0.0);
+    let engine = RaysEngine::new(&tracer, Some(source(&baked)), settings);
+    check(Run {
+        scene: &scene,
+        tracer: &tracer,
+        engine: &engine.of_lobes(lobes, settings),
+        receivers: &receivers,
+        aovs: &[Aov::SpecularIndirect],
+    });
+}
+
+/// Few receivers on plastic speak for the others, and none for what is as smooth as the metal.
+#[test]
+fn rough_gloss_is_interpolated_and_smooth_gloss_is_not() {
+    let gloss = |results: &Results| values(results, Aov::SpecularIndirect).to_vec();
+    let mut truth = Vec::new();
+    with_gloss(4096, |run| truth = gloss(&run.whole()));
+    with_gloss(256, |run| {
+        let kinds = run.engine.kinds(run.receivers).expect("lobes");
+        let half = kinds.len() / 2;
+        assert!(kinds[..half].iter().all(|kind| *kind == Some(0)));
+        assert!(kinds[half..].iter().all(Option::is_none));
+        let whole = gloss(&run.whole());
+        let found = run.interpolated(0.05, &|_| true);
+        let few = gloss(&found.results);
+        assert!(found.gathered > half && 4 * found.gathered < 7 * half);
+        assert!(few[3 * half..] == whole[3 * half..]);
+        let [all, few] =
+            [&whole, &few].map(|it| relative_rmse(&it[..3 * half], &truth[..3 * half]));
+        assert!(few < all + 0.01 && few > 0.0, "{few} {all}");
     });
 }
 

@@ -15,6 +15,7 @@ impl Work<'_> {
             engine,
             receivers,
             aovs,
+            ..
         } = self.gathering;
         let mut found = apart(values, self.base);
         found.buffers.iter_mut().for_each(put_in_range);
@@ -46,7 +47,7 @@ fn put_in_range(buffer: &mut AovBuffer) {
             .data
             .iter_mut()
             .for_each(|open| *open = open.clamp(0.0, 1.0)),
-        Aov::IrradianceIndirect => buffer
+        Aov::IrradianceIndirect | Aov::SpecularIndirect => buffer
             .data
             .iter_mut()
             .for_each(|light| *light = light.max(0.0)),

@@ -13,11 +13,16 @@ pub(super) fn of(scene: GatherScene<'_>, aovs: &[Aov]) -> Vec<Aov> {
         base.push(Aov::Visibility);
     }
     base.extend(
-        [Aov::BentNormal, Aov::VisibilitySh, Aov::RadianceSh]
-            .iter()
-            .filter(|aov| aovs.contains(aov)),
+        [
+            Aov::BentNormal,
+            Aov::VisibilitySh,
+            Aov::RadianceSh,
+            Aov::SpecularIndirect,
+        ]
+        .iter()
+        .filter(|aov| aovs.contains(aov)),
     );
-    if aovs.iter().any(|aov| aov.needs_indirect()) {
+    if (aovs.iter()).any(|aov| aov.needs_indirect() && !aov.needs_gloss()) {
         base.push(Aov::IrradianceIndirect);
     }
     base

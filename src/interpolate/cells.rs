@@ -1,5 +1,6 @@
-//! Receivers → cells: runs of an order in which neighbors of one prim that look the same way follow each other.
+//! Receivers → cells: runs of an order in which neighbors of one kind that look the same way follow each other.
 
+use super::Kind;
 use crate::math::Bounds3;
 use crate::receivers::Receivers;
 use glam::Vec3;
@@ -8,7 +9,7 @@ use std::ops::Range;
 /// Receivers of the largest cells, at most.
 pub(super) const LARGEST: usize = 64;
 
-/// Receivers of a prim, at least, for some to speak for others.
+/// Receivers of a kind, at least, for some to speak for others.
 const FEWEST: usize = 32;
 
 /// Cosine between a normal of a run and their mean: where one is smaller, the run is split by normals and not by place.
@@ -25,29 +26,29 @@ const PARALLEL: usize = 4096;
 pub(super) struct Cells {
     /// Indices of receivers.
     pub(super) order: Vec<u32>,
-    /// Runs of `order`, all of it together: each of one prim, at most [`LARGEST`] long.
+    /// Runs of `order`, all of it together: each of one kind, at most [`LARGEST`] long.
     pub(super) largest: Vec<Range<usize>>,
-    /// The other receivers: those of prims that have only a few.
+    /// The other receivers: those without a kind, and of kinds that have only a few.
     pub(super) alone: Vec<u32>,
 }
 
 impl Cells {
-    /// Cells of `receivers`, at most `u32::MAX`.
-    pub(super) fn new(receivers: &Receivers) -> Self {
+    /// Cells of `receivers`, at most `u32::MAX`, each of the `kind` told.
+    pub(super) fn new(receivers: &Receivers, kind: &dyn Fn(u32) -> Kind) -> Self {
         let count = u32::try_from(receivers.len()).expect("receivers are counted by u32");
-        let of_one_prim =
-            |&a: &u32, &b: &u32| receivers.prim[a as usize] == receivers.prim[b as usize];
-        let mut by_prim: Vec<u32> = (0..count).collect();
-        by_prim.sort_by_key(|&i| receivers.prim[i as usize]);
+        let of_one_kind = |&a: &u32, &b: &u32| kind(a) == kind(b);
+        let mut by_kind: Vec<u32> = (0..count).collect();
+        by_kind.sort_by_key(|&i| kind(i));
+        let is_many = |run: &&[u32]| run.len() >= FEWEST && kind(run[0]).is_some();
         let (many, few): (Vec<&[u32]>, Vec<&[u32]>) =
-            (by_prim.chunk_by(of_one_prim)).partition(|prim| prim.len() >= FEWEST);
+            (by_kind.chunk_by(of_one_kind)).partition(is_many);
         let (mut order, alone) = (many.concat(), few.concat());
         let mut largest = Vec::new();
         let mut start = 0;
-        for prim in order.chunk_by_mut(of_one_prim) {
-            sort(receivers, prim);
-            cut(start..start + prim.len(), &mut largest);
-            start += prim.len();
+        for run in order.chunk_by_mut(of_one_kind) {
+            sort(receivers, run);
+            cut(start..start + run.len(), &mut largest);
+            start += run.len();
         }
         Self {
             order,
@@ -124,7 +125,7 @@ mod tests {
     #[test]
     fn every_receiver_is_in_one_cell_and_cells_are_compact_and_of_one_side() {
         let receivers = sheet();
-        let cells = Cells::new(&receivers);
+        let cells = Cells::new(&receivers, &|_| Some(0));
         let mut all = cells.order.clone();
         all.sort_unstable();
         assert!(all.into_iter().eq(0..8192) && cells.alone.is_empty());
@@ -147,12 +148,16 @@ mod tests {
     }
 
     #[test]
-    fn few_receivers_of_a_prim_stay_alone() {
-        let mut receivers = sheet();
-        receivers.prim[5..25].fill(7);
-        let cells = Cells::new(&receivers);
+    fn few_receivers_of_a_kind_and_those_without_stay_alone() {
+        let receivers = sheet();
+        let few = |i: u32| Some(if (5..25).contains(&i) { 7 } else { 0 });
+        let cells = Cells::new(&receivers, &few);
         assert_eq!(cells.alone, (5..25).collect::<Vec<_>>());
         assert_eq!(cells.order.len(), 8192 - 20);
-        assert!(Cells::new(&receivers_at(&[])).order.is_empty());
+        let none = |i: u32| (i >= 1000).then_some(3);
+        let cells = Cells::new(&receivers, &none);
+        assert_eq!(cells.alone, (0..1000).collect::<Vec<_>>());
+        let nobody = Cells::new(&receivers_at(&[]), &|_| Some(0));
+        assert!(nobody.order.is_empty());
     }
 }

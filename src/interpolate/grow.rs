@@ -37,7 +37,7 @@ impl Work<'_> {
     /// Gather at seeds until all cells are smooth or have one receiver.
     pub(super) fn grow(&self) -> Result<Field, Cancelled> {
         let receivers = self.gathering.receivers;
-        let cells = Cells::new(receivers);
+        let cells = Cells::new(receivers, &|i| self.gathering.kind(i as usize));
         let mut seeds = Seeds::new(self.components());
         self.sow(&mut seeds, &cells.alone)?;
         let (mut smooth, mut scales) = (Vec::new(), None);

@@ -67,7 +67,10 @@ impl Work<'_> {
 
 /// The others err as the visibility does, where they are measured.
 fn is_measured(aov: Aov) -> bool {
-    matches!(aov, Aov::Visibility | Aov::IrradianceIndirect)
+    matches!(
+        aov,
+        Aov::Visibility | Aov::IrradianceIndirect | Aov::SpecularIndirect
+    )
 }
 
 fn mean(seeds: &Seeds, components: Range<usize>) -> f64 {

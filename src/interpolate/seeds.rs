@@ -1,5 +1,6 @@
 //! Receivers that were gathered at, and what they tell of others.
 
+use super::Kind;
 use super::fit::{self, Fit};
 use crate::receivers::Receivers;
 use glam::Vec3;
@@ -29,7 +30,8 @@ pub(super) struct Seeds {
     pub(super) receiver: Vec<u32>,
     pub(super) position: Vec<Vec3>,
     pub(super) normal: Vec<Vec3>,
-    prim: Vec<u32>,
+    /// Who may speak for whom.
+    pub(super) kind: Vec<Kind>,
     /// `components` floats each.
     pub(super) values: Vec<f32>,
     /// Change of each of these with the normal.
@@ -43,7 +45,7 @@ impl Seeds {
             receiver: Vec::new(),
             position: Vec::new(),
             normal: Vec::new(),
-            prim: Vec::new(),
+            kind: Vec::new(),
             values: Vec::new(),
             turns: Vec::new(),
             components,
@@ -64,14 +66,14 @@ impl Seeds {
         self.all().end..
     }
 
-    /// Add the receivers `which`, with what was read of them: of each its values, then their changes with the normal.
+    /// Add the receivers `which`, whose kinds are told already, with what was read of them: of each its values, then their
+    /// changes with the normal.
     pub(super) fn extend(&mut self, receivers: &Receivers, which: &[u32], read: &[f32]) {
         let indices = || which.iter().map(|&i| i as usize);
         self.receiver.extend_from_slice(which);
         self.position
             .extend(indices().map(|i| receivers.position[i]));
         self.normal.extend(indices().map(|i| receivers.normal[i]));
-        self.prim.extend(indices().map(|i| receivers.prim[i]));
         for read in read.chunks_exact(4 * self.components) {
             let (values, turns) = read.split_at(self.components);
             self.values.extend_from_slice(values);
@@ -88,20 +90,22 @@ impl Seeds {
 
     /// All of them, to be searched.
     pub(super) fn index(&self) -> SeedIndex<'_> {
-        let mut by_prim: BTreeMap<u32, Vec<Place>> = BTreeMap::new();
-        for ((position, &prim), seed) in self.position.iter().zip(&self.prim).zip(0..) {
+        let mut by_kind: BTreeMap<u32, Vec<Place>> = BTreeMap::new();
+        for ((position, &kind), seed) in self.position.iter().zip(&self.kind).zip(0..) {
             let place = Place::new(position.to_array(), seed);
-            by_prim.entry(prim).or_default().push(place);
+            if let Some(kind) = kind {
+                by_kind.entry(kind).or_default().push(place);
+            }
         }
-        let tree = |(prim, places)| (prim, RTree::bulk_load(places));
+        let tree = |(kind, places)| (kind, RTree::bulk_load(places));
         SeedIndex {
             seeds: self,
-            trees: by_prim.into_par_iter().map(tree).collect(),
+            trees: by_kind.into_par_iter().map(tree).collect(),
         }
     }
 }
 
-/// Seeds of each prim by place.
+/// Seeds of each kind by place.
 #[derive(Debug)]
 pub(super) struct SeedIndex<'a> {
     pub(super) seeds: &'a Seeds,
@@ -109,15 +113,17 @@ pub(super) struct SeedIndex<'a> {
 }
 
 impl SeedIndex<'_> {
-    /// Up to `count` seeds nearest to seed `around`, itself first, that may speak for what is there: of its prim, on its
+    /// Up to `count` seeds nearest to seed `around`, itself first, that may speak for what is there: of its kind, on its
     /// side. Nearest first.
     pub(super) fn near(&self, around: u32, count: usize) -> Vec<u32> {
         let seeds = self.seeds;
-        let (normal, prim) = (seeds.normal[around as usize], seeds.prim[around as usize]);
+        let (normal, kind) = (seeds.normal[around as usize], seeds.kind[around as usize]);
         let position = seeds.position[around as usize];
         let is_alike = |&seed: &u32| seeds.normal[seed as usize].dot(normal) > ALIKE;
         // Of equally far ones the tree takes any, but the same for the same seeds.
-        let others = (self.trees[&prim].nearest_neighbor_iter(position.to_array()))
+        let tree = kind.and_then(|kind| self.trees.get(&kind));
+        let others = (tree.into_iter())
+            .flat_map(|tree| tree.nearest_neighbor_iter(position.to_array()))
             .take(PASSED * count)
             .map(|place| place.data)
             .filter(|&seed| seed != around && is_alike(&seed));
@@ -144,6 +150,7 @@ pub(super) mod testing {
             .collect();
         let mut seeds = Seeds::new(1);
         let which: Vec<u32> = (0..).take(all.len()).collect();
+        seeds.kind = vec![Some(0); all.len()];
         seeds.extend(&receivers_at(&places), &which, &read);
         seeds
     }
@@ -154,13 +161,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn seeds_near_another_are_of_its_prim_and_side_and_it_is_the_first() {
+    fn seeds_near_another_are_of_its_kind_and_side_and_it_is_the_first() {
         let place = |i: i16| {
             let normal = if i % 3 == 0 { -Vec3::Y } else { Vec3::Y };
             (Vec3::X * f32::from(i), normal, 0.0, Vec3::ZERO)
         };
         let mut seeds = testing::seeds_at(&(0..30).map(place).collect::<Vec<_>>());
-        seeds.prim[11] = 1;
+        seeds.kind[11] = Some(1);
         let found = seeds.index().near(10, 5);
         assert!(
             found == [10, 8, 7, 13, 14] || found == [10, 8, 13, 7, 14],
@@ -170,5 +177,9 @@ mod tests {
         seeds.position[13] = seeds.position[10];
         assert_eq!(seeds.index().near(13, 1), [13]);
         assert_eq!(seeds.index().near(10, 1), [10]);
+        // Nobody speaks for one without a kind.
+        seeds.kind[10] = None;
+        assert_eq!(seeds.index().near(10, 5), [10]);
+        assert!(!seeds.index().near(13, 20).contains(&10));
     }
 }

@@ -1,11 +1,11 @@
 //! Seeds → values of all receivers, and whether these are true.
 
-use super::Work;
 use super::base;
 use super::blend::Blend;
 use super::cells::Cells;
 use super::grow::{Cell, Field};
 use super::seeds::{ASKED, Seeds};
+use super::{Kind, Work};
 use crate::diagnostics::Cancelled;
 use crate::gather::estimate::spread;
 use glam::Vec3;
@@ -16,10 +16,10 @@ use rayon::prelude::*;
 const CHECKED: usize = 128;
 const FEWEST_CHECKED: usize = 256;
 
-/// Checked receivers of a prim that tell something about it.
-const FEWEST_OF_PRIM: usize = 8;
+/// Checked receivers of a kind that tell something about it.
+const FEWEST_OF_KIND: usize = 8;
 
-/// Blended values of a prim may differ from gathered ones by this much of the tolerance: the engine's own error, by which
+/// Blended values of a kind may differ from gathered ones by this much of the tolerance: the engine's own error, by which
 /// neighbors differ a little, is in that. Rooms and teapots have 0.7 to 1.1, a scan with pits 3 to 15.
 const UNTRUE: f64 = 1.3;
 
@@ -114,42 +114,42 @@ impl Work<'_> {
         (told, orphans)
     }
 
-    /// Blended receivers of prims whose blended values are not true, and how many were gathered at to find out.
+    /// Blended receivers of kinds whose blended values are not true, and how many were gathered at to find out.
     ///
     /// These keep what was blended: among blended neighbors their own would be seen.
     fn untrue(&self, told: &Told, scales: &[Option<f64>]) -> Result<(Vec<u32>, usize), Cancelled> {
         let count = (told.blended.len() / CHECKED).max(FEWEST_CHECKED);
-        let prim = |i: u32| self.gathering.receivers.prim[i as usize];
+        let kind = |i: u32| self.gathering.kind(i as usize);
         let mut picks: Vec<u32> = (spread(told.blended.len(), count).into_iter())
             .map(|k| told.blended[k])
             .collect();
-        picks.sort_by_key(|&i| prim(i));
+        picks.sort_by_key(|&i| kind(i));
         let n = self.components();
         let mut truth = Seeds::new(n);
         self.sow(&mut truth, &picks)?;
         let error = |(&i, truth): (&u32, &[f32])| {
             let blended = &told.values[i as usize * n..][..n];
             let off: Vec<f32> = blended.iter().zip(truth).map(|(a, b)| a - b).collect();
-            (prim(i), base::relative(self.base, &off, scales).powi(2))
+            (kind(i), base::relative(self.base, &off, scales).powi(2))
         };
-        let errors: Vec<(u32, f64)> = (picks.iter().zip(truth.values.chunks_exact(n)))
+        let errors: Vec<(Kind, f64)> = (picks.iter().zip(truth.values.chunks_exact(n)))
             .map(error)
             .collect();
         let limit = (UNTRUE * self.settings.tolerance).powi(2);
-        let is_untrue = |errors: &[(u32, f64)]| {
+        let is_untrue = |errors: &[(Kind, f64)]| {
             let square: f64 = errors.iter().map(|(_, square)| square).sum();
             square / errors.len().max(1) as f64 > limit
         };
-        let untrue: Vec<u32> = (errors.chunk_by(|a, b| a.0 == b.0))
-            .filter(|errors| errors.len() >= FEWEST_OF_PRIM && is_untrue(errors))
+        let untrue: Vec<Kind> = (errors.chunk_by(|a, b| a.0 == b.0))
+            .filter(|errors| errors.len() >= FEWEST_OF_KIND && is_untrue(errors))
             .map(|errors| errors[0].0)
             .collect();
-        let rest: Vec<(u32, f64)> = (errors.into_iter())
-            .filter(|(prim, _)| untrue.binary_search(prim).is_err())
+        let rest: Vec<(Kind, f64)> = (errors.into_iter())
+            .filter(|(kind, _)| untrue.binary_search(kind).is_err())
             .collect();
         // All others together: each may have too few receivers to be judged alone.
         let all = is_untrue(&rest);
-        let again = |i: &u32| all || untrue.binary_search(&prim(*i)).is_ok();
+        let again = |i: &u32| all || untrue.binary_search(&kind(*i)).is_ok();
         let again = told.blended.iter().copied().filter(again).collect();
         Ok((again, picks.len()))
     }

@@ -16,7 +16,7 @@ mod question;
 mod sky;
 
 pub use check::Check;
-pub use choose::{choose, picks};
+pub use choose::{choose, picks, rays_with_errors};
 pub use crowd::crowd;
 pub use light::LightScenes;
 pub use question::{Maps, Outcome, Pilot, Trial};

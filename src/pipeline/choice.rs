@@ -3,7 +3,7 @@
 use super::Error;
 use super::gather::Light;
 use super::interpolated::InterpolatedMethod;
-use super::job::{EngineChoice, GatherJob};
+use super::job::{EngineChoice, GatherJob, Part};
 use super::maps::{MapsKnobs, MapsMethod, Promise};
 use super::report::{Report, timed};
 use super::stand::Stand;
@@ -328,7 +328,7 @@ const SHARE_OF_RAYS: f64 = 0.95;
 /// True if receivers that rays have seen may speak for others.
 fn interpolates(stand: &Stand<'_>) -> bool {
     let pays = interpolate::pays(stand.receivers, stand.aovs);
-    stand.job.interpolate && !stand.is_partial() && pays
+    stand.job.interpolate && !matches!(stand.part, Part::Cone(_)) && pays
 }
 
 /// Let a pilot look at `stand`'s receivers.
@@ -379,7 +379,7 @@ pub(super) fn look(
             EngineChoice::Maps if is_sky => Maps::Always(stand.maps_plan(), stand.job.max_distance),
             _ => Maps::Never,
         },
-        surfel_errors: stand.surfel_errors,
+        surfel_errors: &stand.surfel_errors,
     };
     Ok(pilot::choose(&pilot, diagnostics)?)
 }

@@ -8,7 +8,7 @@ use super::job::{EngineChoice, GatherJob, Part};
 use super::maps::{self, MapsKnobs};
 use super::raster;
 use super::report::{Report, timed};
-use super::spacing;
+use super::spacing::{self, Asked};
 use super::stand::Stand;
 use super::world::World;
 use crate::bake::{self, BakeSettings, Baked};
@@ -113,35 +113,16 @@ pub(super) fn relight<'a>(
     HitLight::new(world.shader, &world.tracer, lighting, &baked.dice)
 }
 
-/// Compute `aovs` at `receivers`. Where they are looked at from somewhere, `color` holds what they reflect glossily too.
+/// Compute `aovs` at `receivers`: kinds of occlusion, and gloss, each by rays of their own, all others by one gather. Where
+/// receivers are looked at from somewhere, `color` holds what they reflect glossily too.
 pub(super) fn gather(
-    world: &World<'_>,
-    receivers: &Receivers,
-    aovs: &[Aov],
-    job: &GatherJob,
-    run: (&mut Report, &Diagnostics),
-) -> Result<Results, Error> {
-    if !aovs.contains(&Aov::Color) || receivers.toward_eye.is_empty() {
-        return gather_each(world, receivers, aovs, job, run);
-    }
-    let mut results = if aovs.contains(&Aov::SpecularIndirect) {
-        gather_each(world, receivers, aovs, job, run)?
-    } else {
-        gloss::gather_beside(world, receivers, aovs, job, run)?
-    };
-    gloss::add(&mut results);
-    results.buffers.retain(|buffer| aovs.contains(&buffer.aov));
-    Ok(results)
-}
-
-/// Compute `aovs` at `receivers`: kinds of occlusion, and gloss, each by rays of their own, all others by one gather.
-pub(super) fn gather_each(
     world: &World<'_>,
     receivers: &Receivers,
     aovs: &[Aov],
     job: &GatherJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Results, Error> {
+    let shines = aovs.contains(&Aov::Color) && !receivers.toward_eye.is_empty();
     let mut groups: Vec<(Part, Vec<Aov>)> = Vec::new();
     for &aov in aovs {
         let part = job.occlusion.part_of(aov);
@@ -155,41 +136,40 @@ pub(super) fn gather_each(
     let mut all = Results::default();
     for (part, group) in &groups {
         let run = (&mut *report, diagnostics);
-        let found = gather_group(world, (receivers, *part), (group, None), job, run)?;
+        let has_gloss = aovs.contains(&gloss::AOV);
+        let found = if shines && !has_gloss && group.contains(&Aov::Color) {
+            gloss::gather_beside(world, receivers, (group, *part), job, run)?
+        } else {
+            let asked = Asked {
+                receivers,
+                aovs: group,
+                beside: &[],
+            };
+            let lit = spacing::lit(world, asked, job, (&mut *report, diagnostics))?;
+            let stand = Stand::new(world, &lit, receivers, group, job).about(*part);
+            let found = gather_on(&stand, (&mut *report, diagnostics))?;
+            choice::judge(report, diagnostics);
+            found
+        };
         all.buffers.extend(found.buffers);
+    }
+    if shines {
+        gloss::add(&mut all);
+        all.buffers.retain(|buffer| aovs.contains(&buffer.aov));
     }
     Ok(all.in_order_of(aovs))
 }
 
-/// Compute `aovs`, which all ask about the same part of the hemisphere, and are part of a color of mean `beside`, if any.
-pub(super) fn gather_group(
-    world: &World<'_>,
-    (receivers, part): (&Receivers, Part),
-    (aovs, beside): (&[Aov], Option<f64>),
-    job: &GatherJob,
+/// Compute what `stand` asks for, which all is about one part of the hemisphere.
+pub(super) fn gather_on(
+    stand: &Stand<'_>,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Results, Error> {
+    let (world, receivers) = (stand.world(), stand.receivers);
     report.counts.receivers = report.counts.receivers.max(receivers.len());
     report.counts.gathered = report.counts.receivers;
-    let lit = spacing::lit(world, (receivers, aovs), job, (&mut *report, diagnostics))?;
-    report.counts.surfels = report.counts.surfels.max(lit.light.len());
-    let stand = Stand::new(world, &lit, receivers, aovs, job).about(part);
-    let loose;
-    let stand = match beside {
-        None => stand,
-        Some(whole) => {
-            let tolerance = timed(&mut report.seconds.gather, || {
-                gloss::tolerance_beside(&stand, whole, diagnostics)
-            })?;
-            report.error.tolerance = tolerance;
-            loose = GatherJob {
-                tolerance,
-                ..job.clone()
-            };
-            stand.asked_as(&loose)
-        }
-    };
-    let found = choice::choose(&stand, report, diagnostics)?;
+    report.counts.surfels = report.counts.surfels.max(stand.light().len());
+    let found = choice::choose(stand, report, diagnostics)?;
     let lighting = found.choice.lighting(world, diagnostics);
     let scene = GatherScene {
         lighting: Some(lighting.as_ref().unwrap_or(&world.lighting)),
@@ -198,28 +178,25 @@ pub(super) fn gather_group(
     let run = (&mut *report, diagnostics);
     let results = match found.choice.engine {
         Chosen::Rays(rays) if found.choice.interpolates => {
-            see_interpolated(&stand, scene, (rays, &found), run)?
+            see_interpolated(stand, scene, (rays, &found), run)?
         }
-        Chosen::Rays(rays) => see_rays(&stand, scene, rays, run)?,
+        Chosen::Rays(rays) => see_rays(stand, scene, rays, run)?,
         Chosen::Raster(knobs) => {
-            let results = see_raster(&stand, scene, knobs, (&mut *report, diagnostics))?;
+            let results = see_raster(stand, scene, knobs, (&mut *report, diagnostics))?;
             found.look_back(&results, report);
-            match found.rays_instead(aovs, job, report) {
+            match found.rays_instead(stand.aovs, stand.job, report) {
                 Some(rays) => {
-                    let results = see_rays(&stand, scene, rays, (&mut *report, diagnostics))?;
+                    let results = see_rays(stand, scene, rays, (&mut *report, diagnostics))?;
                     found.look_back(&results, report);
                     results
                 }
                 None => results,
             }
         }
-        Chosen::Paper(knobs) => see_paper(&stand, scene, knobs, run)?,
-        Chosen::Maps(knobs) => see_maps(&stand, scene, (&knobs, &found), run)?,
+        Chosen::Paper(knobs) => see_paper(stand, scene, knobs, run)?,
+        Chosen::Maps(knobs) => see_maps(stand, scene, (&knobs, &found), run)?,
     };
     report.counts.nodes = report.counts.nodes.max(stand.node_count());
-    if beside.is_none() {
-        choice::judge(report, diagnostics);
-    }
     Ok(results)
 }
 

@@ -2,9 +2,10 @@
 
 use super::Error;
 use super::choice;
-use super::gather::{gather_each, gather_group};
-use super::job::GatherJob;
-use super::report::Report;
+use super::gather::gather_on;
+use super::job::{GatherJob, Part};
+use super::report::{Report, timed};
+use super::spacing::{self, Asked};
 use super::stand::Stand;
 use super::world::World;
 use crate::diagnostics::Diagnostics;
@@ -13,42 +14,53 @@ use crate::pilot::{self, Method};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 
-/// Compute `aovs`, among them `color`, and `specular_indirect` as well as `color` needs it: what it errs by counts by the
-/// mean of the color.
+/// What surfaces reflect glossily.
+pub(super) const AOV: Aov = Aov::SpecularIndirect;
+
+/// Compute `aovs`, among them `color`, and [`AOV`] as well as `color` needs it, by the light of the same surfels: what it errs
+/// by counts by the mean of the color.
 pub(super) fn gather_beside(
     world: &World<'_>,
     receivers: &Receivers,
-    aovs: &[Aov],
+    (aovs, part): (&[Aov], Part),
     job: &GatherJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Results, Error> {
+    let asked = Asked {
+        receivers,
+        aovs,
+        beside: &[AOV],
+    };
+    let lit = spacing::lit(world, asked, job, (&mut *report, diagnostics))?;
     let name = Aov::Color.name();
     let before = report.error.aovs.remove(name);
-    let mut results = gather_each(world, receivers, aovs, job, (&mut *report, diagnostics))?;
+    let stand = Stand::new(world, &lit, receivers, aovs, job).about(part);
+    let mut results = gather_on(&stand, (&mut *report, diagnostics))?;
+    choice::judge(report, diagnostics);
     let mean = mean_of(&results, Aov::Color);
-    let mut part = Report::new(&[]);
-    part.choices = std::mem::take(&mut report.choices);
-    part.dicings = std::mem::take(&mut report.dicings);
-    part.error.tolerance = report.error.tolerance;
-    let asked = (receivers, job.occlusion.part_of(Aov::SpecularIndirect));
-    let aov = [Aov::SpecularIndirect];
-    let run = (&mut part, diagnostics);
-    let gloss = gather_group(world, asked, (&aov, Some(mean)), job, run)?;
-    report.choices = std::mem::take(&mut part.choices);
-    report.dicings = std::mem::take(&mut part.dicings);
-    let own = part.error.aovs.get(aov[0].name()).copied();
-    let of_gloss = own.unwrap_or(0.0) * mean_of(&gloss, aov[0]);
-    report.add_part(part);
-    results.buffers.extend(gloss.buffers);
-    if let Some(own) = report.error.aovs.get(name).copied() {
-        let whole = mean + mean_of(&results, aov[0]);
-        let both = relative((own * mean).hypot(of_gloss), whole);
-        let is_news = report.error.tolerance.is_some_and(|most| own <= most);
+    let part = job.occlusion.part_of(AOV);
+    let stand = Stand::new(world, &lit, receivers, &[AOV], job).about(part);
+    let mut own = report.part();
+    let job = timed(&mut own.seconds.gather, || {
+        job_beside(&stand, mean, diagnostics)
+    })?;
+    own.set("rays", job.rays);
+    own.error.tolerance = job.tolerance;
+    let gloss = gather_on(&stand.asked_as(&job), (&mut own, diagnostics))?;
+    own.rename_setting("rays", "rays_of_gloss");
+    let error_of_gloss = own.error.aovs.get(AOV.name()).copied();
+    report.add_part(own);
+    if let Some(error) = report.error.aovs.get(name).copied() {
+        let of_gloss = mean_of(&gloss, AOV);
+        let error_of_gloss = error_of_gloss.unwrap_or(0.0) * of_gloss;
+        let both = relative((error * mean).hypot(error_of_gloss), mean + of_gloss);
+        let is_news = report.error.tolerance.is_some_and(|most| error <= most);
         report.error.put(name, both.max(before.unwrap_or(0.0)));
         if is_news {
             choice::judge(report, diagnostics);
         }
     }
+    results.buffers.extend(gloss.buffers);
     Ok(results)
 }
 
@@ -64,24 +76,26 @@ const SHARE_OF_GLOSS: f64 = 0.4;
 /// the few receivers of a pilot do not meet, should show no pattern of its rays.
 const LOOSEST_GLOSS: f64 = 5.0;
 
-/// Receivers and rays that tell how much of the color gloss is.
+/// Rays that tell, at the few receivers of a pilot, how much of the color gloss is.
 const RAYS_OF_MEAN: u32 = 32;
 
-/// What `aovs`, which are part of a color of mean `whole`, may err by relative to themselves.
-pub(super) fn tolerance_beside(
+/// The job of gloss that is part of a color of mean `whole`: it may err by so much relative to itself, or without a tolerance
+/// has so many rays, that it adds little to what the color errs by.
+fn job_beside(
     stand: &Stand<'_>,
     whole: f64,
     diagnostics: &Diagnostics,
-) -> Result<Option<f64>, Error> {
-    let Some(tolerance) = stand.job.tolerance else {
-        return Ok(None);
-    };
+) -> Result<GatherJob, Error> {
     let few = (stand.receivers).subset(&pilot::picks(stand.receivers.len()));
     let engine = stand.rays_with(stand.rays_settings(RAYS_OF_MEAN));
     let results = Method::gather(&engine, stand.scene(), &few, stand.aovs, diagnostics)?;
-    let own = mean_of(&results, stand.aovs[0]);
-    let times = SHARE_OF_GLOSS * whole / own.max(f64::MIN_POSITIVE);
-    Ok(Some(tolerance * times.clamp(1.0, LOOSEST_GLOSS)))
+    let times = SHARE_OF_GLOSS * whole / mean_of(&results, AOV).max(f64::MIN_POSITIVE);
+    let times = times.clamp(1.0, LOOSEST_GLOSS);
+    Ok(GatherJob {
+        tolerance: stand.job.tolerance.map(|tolerance| times * tolerance),
+        rays: pilot::rays_with_errors(stand.job.rays, times),
+        ..stand.job.clone()
+    })
 }
 
 /// Add `specular_indirect` to `color`.

@@ -143,9 +143,7 @@ fn part_of(
     job: &GatherJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Vec<AovBuffer>, Error> {
-    let mut own = Report::new(&[]);
-    own.choices.clone_from(&report.choices);
-    own.dicings.clone_from(&report.dicings);
+    let mut own = report.part();
     let results = gather(world, receivers, aovs, job, (&mut own, diagnostics))?;
     report.add_part(own);
     Ok(results.buffers)

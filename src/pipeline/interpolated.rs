@@ -51,10 +51,12 @@ impl Method for InterpolatedMethod<'_> {
         aovs: &[Aov],
         diagnostics: &Diagnostics,
     ) -> Result<Results, Cancelled> {
+        let kinds = self.engine.kinds(receivers);
         let gathering = Gathering {
             scene,
             engine: &self.engine,
             receivers,
+            kinds: kinds.as_deref(),
             aovs,
         };
         let is_kept = |results: &Results| {

@@ -183,8 +183,20 @@ pub struct Report {
 }
 
 impl Report {
-    /// Add what `part`, a gather for some of the light, took.
-    pub(super) fn add_part(&mut self, part: Self) {
+    /// A report of its own for a part of the run, which keeps to what was chosen before, to be given back to
+    /// [`Self::add_part`].
+    pub(super) fn part(&mut self) -> Self {
+        Self {
+            choices: std::mem::take(&mut self.choices),
+            dicings: std::mem::take(&mut self.dicings),
+            ..Self::new(&[])
+        }
+    }
+
+    /// Add what `part`, a gather for some of the light, took and chose.
+    pub(super) fn add_part(&mut self, mut part: Self) {
+        self.choices.append(&mut part.choices);
+        self.dicings.append(&mut part.dicings);
         self.seconds.read += part.seconds.read;
         self.seconds.points += part.seconds.points;
         self.seconds.octree += part.seconds.octree;
@@ -216,6 +228,13 @@ impl Report {
             shots: Vec::new(),
             choices: BTreeMap::new(),
             dicings: BTreeMap::new(),
+        }
+    }
+
+    /// Call the setting `old` by the name `new`.
+    pub(super) fn rename_setting(&mut self, old: &str, new: &str) {
+        if let Some(value) = self.settings.remove(old) {
+            self.set(new, value);
         }
     }
 

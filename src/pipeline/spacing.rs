@@ -18,6 +18,7 @@ use crate::gather::HitLight;
 use crate::pilot::picks;
 use crate::receivers::Receivers;
 use crate::results::Aov;
+use std::time::Instant;
 
 /// Share of the tolerance that surfels may use up; rays have 80 % of it left.
 const SHARE: f64 = 0.6;
@@ -64,11 +65,19 @@ impl Relit {
 /// Surfels, and the error they leave.
 pub(super) struct Lit {
     pub(super) light: Light,
-    /// Relative RMSE of each AOV, in order; empty where it was not measured.
-    pub(super) errors: Vec<f64>,
+    /// Relative RMSE of AOVs; empty where it was not measured.
+    pub(super) errors: Vec<(Aov, f64)>,
     pub(super) relit: Relit,
     /// Processor seconds that finding out took, this cloud's own aside.
     pub(super) judging: f64,
+}
+
+impl Lit {
+    /// Relative RMSE that surfels leave in `aov`; 0 where it was not measured.
+    pub(super) fn error_of(&self, aov: Aov) -> f64 {
+        let of = self.errors.iter().find(|(known, _)| *known == aov);
+        of.map_or(0.0, |&(_, error)| error)
+    }
 }
 
 impl From<Light> for Lit {
@@ -92,19 +101,34 @@ pub(super) struct Dicing {
 /// A cloud that is fine enough, or as fine as it gets.
 struct Climbed {
     baked: Baked,
-    /// See [`Lit`].
+    /// Relative RMSE of each AOV of a [`Ladder`], in order.
     errors: Vec<f64>,
     relit: Relit,
+    /// See [`Lit`].
     judging: f64,
 }
 
-/// The surfels `aovs` need, as many as the tolerance asks for, if there is one.
+/// What surfels are for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Asked<'a> {
+    pub(super) receivers: &'a Receivers,
+    pub(super) aovs: &'a [Aov],
+    /// AOVs that read the same surfels, and ask for none of their own: what they err by is told.
+    pub(super) beside: &'a [Aov],
+}
+
+/// The surfels that are asked for, as many as the tolerance needs, if there is one.
 pub(super) fn lit(
     world: &World<'_>,
-    (receivers, aovs): (&Receivers, &[Aov]),
+    asked: Asked<'_>,
     job: &GatherJob,
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Lit, Error> {
+    let Asked {
+        receivers,
+        aovs,
+        beside,
+    } = asked;
     let run = (&mut *report, diagnostics);
     let is_asked =
         job.clouds.is_empty() && !matches!(job.engine, EngineChoice::Raster | EngineChoice::Paper);
@@ -131,16 +155,20 @@ pub(super) fn lit(
         world,
         receivers: receivers.len(),
         few: &receivers.subset(&few),
-        aovs,
+        aovs: &[aovs, beside].concat(),
+        bound: aovs.len(),
         job,
         tolerance,
         allowed: SHARE * tolerance,
     };
+    let (start, points) = (Instant::now(), report.seconds.points);
     let climbed = if world.lighting.has_emitters() {
         ladder.climb_by_pairs((&mut *report, diagnostics))?
     } else {
         ladder.climb_by_hits((&mut *report, diagnostics))?
     };
+    let dicing = report.seconds.points - points;
+    report.seconds.gather += start.elapsed().as_secs_f64() - dicing;
     if job.spacing.is_none() {
         let dicing = Dicing {
             surfels: job.surfels.unwrap_or(climbed.baked.cloud.len()),
@@ -150,7 +178,7 @@ pub(super) fn lit(
     }
     Ok(Lit {
         light: bounce(world, climbed.baked, job, (report, diagnostics))?,
-        errors: climbed.errors,
+        errors: ladder.aovs.iter().copied().zip(climbed.errors).collect(),
         relit: climbed.relit,
         judging: climbed.judging,
     })
@@ -161,7 +189,10 @@ struct Ladder<'a> {
     /// How many the run has.
     receivers: usize,
     few: &'a Receivers,
+    /// AOVs whose error is told.
     aovs: &'a [Aov],
+    /// So many of them, the first, bind it.
+    bound: usize,
     job: &'a GatherJob,
     tolerance: f64,
     /// Part of the tolerance for surfels.
@@ -174,13 +205,28 @@ impl Ladder<'_> {
         self.job.surfels.is_some() || self.job.spacing.is_some()
     }
 
-    fn asked(&self) -> impl Iterator<Item = Aov> {
-        self.aovs.iter().copied().filter(|&aov| is_measured(aov))
+    /// What is looked at for it.
+    fn looked_at(&self) -> Vec<Aov> {
+        let measured = self.aovs.iter().filter(|&&aov| is_measured(aov));
+        let mut looked_at: Vec<Aov> = measured.map(|&aov| judged_as(aov)).collect();
+        looked_at.sort();
+        looked_at.dedup();
+        looked_at
     }
 
-    /// The largest of `errors` over what is allowed.
+    /// The largest of `errors`, of those that bind it, over what is allowed.
     fn worst(&self, errors: &[f64]) -> f64 {
-        errors.iter().copied().fold(0.0, f64::max) / self.allowed
+        let bound = errors.iter().take(self.bound);
+        bound.copied().fold(0.0, f64::max) / self.allowed
+    }
+}
+
+/// The AOV whose relative error by surfels is that of `aov`: what a lobe sees is part of what the hemisphere does, and
+/// harmonics tell from where.
+fn judged_as(aov: Aov) -> Aov {
+    match aov {
+        Aov::SpecularIndirect | Aov::RadianceSh => Aov::IrradianceIndirect,
+        other => other,
     }
 }
 

@@ -31,8 +31,8 @@ pub(super) struct Stand<'a> {
     light: &'a Light,
     /// Surfels only tell which sides reflect.
     at_hits: bool,
-    /// Of each AOV, or nothing.
-    pub(super) surfel_errors: &'a [f64],
+    /// Of each AOV.
+    pub(super) surfel_errors: Vec<f64>,
     source: Option<RadianceSource<'a>>,
     octree: OnceCell<Octree>,
     maps_plan: OnceCell<MapsPlan<'a>>,
@@ -55,7 +55,7 @@ impl<'a> Stand<'a> {
             world,
             light: &lit.light,
             at_hits: lit.relit == Relit::All,
-            surfel_errors: &lit.errors,
+            surfel_errors: aovs.iter().map(|&aov| lit.error_of(aov)).collect(),
             source: match lit.relit {
                 Relit::All => lit.light.at_hits(world, &world.lighting),
                 Relit::Near(radii) => lit.light.source(world, (job.bounces, radii)),

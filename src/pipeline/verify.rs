@@ -5,7 +5,7 @@ mod subjects;
 use super::gather::{Light, light};
 use super::job::{GatherJob, VerifyJob};
 use super::report::Report;
-use super::spacing::{self, Lit};
+use super::spacing::{self, Asked, Lit};
 use super::stand::Stand;
 use super::view::camera;
 use super::world::{Needs, World, with_world};
@@ -293,7 +293,12 @@ impl Arena<'_> {
             };
             let mut report = Report::new(&[]);
             let run = (&mut report, diagnostics);
-            spacing::lit(self.world, (all, &[aov]), &job, run)
+            let asked = Asked {
+                receivers: all,
+                aovs: &[aov],
+                beside: &[],
+            };
+            spacing::lit(self.world, asked, &job, run)
         };
         self.job.tolerances.iter().map(tune).collect()
     }

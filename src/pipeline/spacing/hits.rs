@@ -11,7 +11,7 @@
 use super::super::Error;
 use super::super::gather::{dice, errors_of_surfels, read_surfels, relight};
 use super::super::report::Report;
-use super::{Climbed, FEWEST, Ladder, MOST, Relit, STALLED, is_measured, law, more};
+use super::{Climbed, FEWEST, Ladder, MOST, Relit, STALLED, is_measured, judged_as, law, more};
 use crate::bake::Baked;
 use crate::bounce::Bounces;
 use crate::diagnostics::Diagnostics;
@@ -254,7 +254,7 @@ struct Witness<'a> {
     parts: Vec<Receivers>,
     /// Of a set.
     rays: f64,
-    /// Mean magnitude of each AOV of the run.
+    /// Mean magnitude of what each AOV of the run is judged as.
     means: Vec<f64>,
     /// Two sets with all hits lit anew, once asked for: the same for all clouds.
     at_hits: Vec<Values>,
@@ -262,7 +262,7 @@ struct Witness<'a> {
 
 impl<'a> Witness<'a> {
     fn new(ladder: &'a Ladder<'a>) -> Self {
-        let mut carriers: Vec<Aov> = ladder.asked().map(carrier).collect();
+        let mut carriers: Vec<Aov> = ladder.looked_at().into_iter().map(carrier).collect();
         carriers.sort();
         carriers.dedup();
         let few: Vec<usize> = (0..ladder.few.len()).collect();
@@ -332,7 +332,7 @@ impl<'a> Witness<'a> {
             let is_known = |&(square, error): &(f64, f64)| {
                 self.is_sure((square, error)) || (pair + 1 >= worth && error < allowed)
             };
-            if pair > 0 && found.iter().all(is_known) {
+            if pair > 0 && found.iter().take(self.ladder.bound).all(is_known) {
                 break;
             }
         }
@@ -391,7 +391,7 @@ impl<'a> Witness<'a> {
 
     /// Which carrier tells the error of `aov`; `None` if surfels leave none in it.
     fn carrier_index(&self, aov: Aov) -> Option<usize> {
-        let is_told = |&c: &Aov| is_measured(aov) && c == carrier(aov);
+        let is_told = |&c: &Aov| is_measured(aov) && c == carrier(judged_as(aov));
         self.carriers.iter().position(is_told)
     }
 
@@ -409,7 +409,8 @@ impl<'a> Witness<'a> {
             Some(self.rays * (noise / allowed).powf(2.0 / law))
         };
         let aovs = self.ladder.aovs.iter().zip(&self.means);
-        aovs.filter_map(needed).fold(FEWEST_RAYS, f64::max)
+        let bound = aovs.take(self.ladder.bound);
+        bound.filter_map(needed).fold(FEWEST_RAYS, f64::max)
     }
 
     /// Two sets by `source`.
@@ -430,9 +431,10 @@ impl<'a> Witness<'a> {
         source: &RadianceSource<'_>,
         diagnostics: &Diagnostics,
     ) -> Result<(), Error> {
-        let asked: Vec<Aov> = self.ladder.asked().collect();
-        let results = self.look(Some(source), 0, &asked, diagnostics)?;
-        let mean = |&aov: &Aov| mean_magnitude(&values(&results, aov).unwrap_or_default());
+        let looked_at = self.ladder.looked_at();
+        let results = self.look(Some(source), 0, &looked_at, diagnostics)?;
+        let mean =
+            |&aov: &Aov| mean_magnitude(&values(&results, judged_as(aov)).unwrap_or_default());
         self.means = self.ladder.aovs.iter().map(mean).collect();
         Ok(())
     }
@@ -528,13 +530,11 @@ fn sure(&(square, error): &(f64, f64)) -> f64 {
     (square - error).max(0.0).sqrt()
 }
 
-/// The AOV by which `aov` errs as surfels do.
+/// The part of `aov` that errs as surfels do.
 fn carrier(aov: Aov) -> Aov {
     match aov {
         Aov::Irradiance => Aov::IrradianceIndirect,
         Aov::Color => Aov::DiffuseIndirect,
-        // What a lobe sees is part of what the hemisphere does, and harmonics tell from where.
-        Aov::SpecularIndirect | Aov::RadianceSh => Aov::IrradianceIndirect,
         other => other,
     }
 }

@@ -3,7 +3,9 @@
 use super::super::Error;
 use super::super::gather::{dice, read_surfels};
 use super::super::report::Report;
-use super::{Climbed, FEWEST, LAW, Ladder, MOST, Relit, STALLED, is_measured, law, more};
+use super::{
+    Climbed, FEWEST, LAW, Ladder, MOST, Relit, STALLED, is_measured, judged_as, law, more,
+};
 use crate::bake::{BakeSettings, Baked};
 use crate::bounce::Bounces;
 use crate::diagnostics::Diagnostics;
@@ -100,7 +102,7 @@ impl Ladder<'_> {
             tracer: &self.world.tracer,
             lighting: Some(&self.world.lighting),
         };
-        let aovs: Vec<Aov> = self.asked().collect();
+        let aovs = self.looked_at();
         let results = gather::gather(scene, &engine, self.few, &aovs, diagnostics)?;
         drop(engine);
         Ok(Look {
@@ -114,7 +116,7 @@ impl Ladder<'_> {
     fn errors(&self, coarse: &Look, fine: &Look) -> Vec<f64> {
         let left = 1.0 / (ratio(coarse, fine).powf(LAW) - 1.0);
         let of = |&aov: &Aov| {
-            let found = [coarse, fine].map(|look| values(&look.results, aov).unwrap_or_default());
+            let found = [coarse, fine].map(|look| look.values(judged_as(aov)));
             let mean = mean_magnitude(&found[1]);
             if is_measured(aov) {
                 left * relative(rms_difference(&found[0], &found[1]), mean)
@@ -132,6 +134,12 @@ struct Look {
     /// Processor seconds that this took.
     dicing: f64,
     results: Results,
+}
+
+impl Look {
+    fn values(&self, aov: Aov) -> Vec<f64> {
+        values(&self.results, aov).unwrap_or_default()
+    }
 }
 
 /// Spacing of the coarse cloud over that of the fine one.
