@@ -1,11 +1,7 @@
 //! Glossy reflection, end to end, against closed forms.
 
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-
-use glam::Vec3;
-use program::{json, run, stage, stderr};
+use crate::program::{json, run, stage, stderr};
+use glam::{DVec3, Vec3};
 use std::fs;
 
 /// A floor that looks like this, as the inputs of UsdPreviewSurface say, under a sky of radiance 1 or what `more` has; a
@@ -184,6 +180,78 @@ fn a_mirror_shows_what_a_mirror_shows() {
     }
 }
 
+/// What a wall at x = 3 with a metal lobe (0.5 straight on) of width `alpha` reflects at `place` towards the unit `view` of a panel
+/// of 2 by 2 and radiance 4 at x = 2, y = 5 that faces it: D·F·G₂ / (4 cos cos), summed over small squares of the panel.
+fn reflected_panel(place: DVec3, view: DVec3, alpha: f64) -> f64 {
+    let masked = |cosine: f64| 0.5 * ((1.0 + alpha * alpha * (cosine.powi(-2) - 1.0)).sqrt() - 1.0);
+    let side = 100;
+    let square = 2.0 / f64::from(side);
+    let mut sum = 0.0;
+    for (i, k) in (0..side).flat_map(|i| (0..side).map(move |k| (i, k))) {
+        let at = |i: i32| -1.0 + (f64::from(i) + 0.5) * square;
+        let way = DVec3::new(2.0, 5.0 + at(i), at(k)) - place;
+        let light = way.normalize();
+        // The wall faces −x, the panel +x.
+        let (to_light, to_eye) = (-light.x, -view.x);
+        let facet = (light + view).normalize();
+        let spread = facet.x * facet.x * (alpha * alpha - 1.0) + 1.0;
+        let density = alpha * alpha / (std::f64::consts::PI * spread * spread);
+        let open = 1.0 / (1.0 + masked(to_light) + masked(to_eye));
+        let fresnel = 0.5 + 0.5 * (1.0 - view.dot(facet)).powi(5);
+        let brdf = density * fresnel * open / (4.0 * to_light * to_eye);
+        sum += 4.0 * brdf * to_light * to_light * square * square / way.length_squared();
+    }
+    sum
+}
+
+/// Wide lobes look at lamps, narrow ones meet them.
+#[test]
+fn a_mirror_shows_what_rough_metal_reflects_of_a_lamp() {
+    for roughness in [0.3, 0.6, 0.9] {
+        let wall = format!(
+            r#"def Mesh "wall" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {{
+        point3f[] points = [(3, -50, -50), (3, -50, 50), (3, 50, 50), (3, 50, -50)]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        uniform token subdivisionScheme = "none"
+        rel material:binding = </World/wall/Metal>
+        def Material "Metal"
+        {{
+            token outputs:surface.connect = </World/wall/Metal/surface.outputs:surface>
+            def Shader "surface"
+            {{
+                uniform token info:id = "UsdPreviewSurface"
+                color3f inputs:diffuseColor = (0.5, 0.5, 0.5)
+                float inputs:metallic = 1
+                float inputs:roughness = {roughness}
+                token outputs:surface
+            }}
+        }}
+        def RectLight "lamp"
+        {{
+            float inputs:intensity = 4
+            float inputs:width = 2
+            float inputs:height = 2
+            double3 xformOp:translate = (2, 5, 0)
+            float xformOp:rotateY = -90
+            uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateY"]
+        }}
+    }}"#
+        );
+        let found = baked(&floor(MIRROR, &wall), "1,-1,0");
+        let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
+        for ((x, z), value) in corners.into_iter().zip(found) {
+            let place = DVec3::new(3.0, 3.0 - x, z);
+            let view = DVec3::new(-1.0, -1.0, 0.0).normalize();
+            let exact = reflected_panel(place, view, roughness * roughness);
+            let tint = DVec3::new(0.9, 0.7, 0.5);
+            let error = value.as_dvec3() / (exact * tint) - 1.0;
+            assert!(error.abs().max_element() < 0.03, "{roughness}: {error}");
+        }
+    }
+}
+
 #[test]
 fn a_bake_without_an_eye_is_a_usage_error() {
     let (folder, path) = stage(&floor(MIRROR, SKY));
@@ -213,27 +281,25 @@ fn a_bake_without_an_eye_is_a_usage_error() {
     }
 }
 
+/// A folder with a render of `text`, `out.exr`, and what the run tells.
+fn rendered(text: &str, flags: &[&str]) -> (tempfile::TempDir, serde_json::Value) {
+    let (folder, path) = stage(text);
+    let out = folder.path().join("out.exr");
+    let mut args = vec!["render", path.to_str().expect("UTF-8"), "-o"];
+    args.extend([out.to_str().expect("UTF-8"), "--usd", "native", "--json"]);
+    args.extend(flags);
+    let report = json(&run(&args));
+    (folder, report)
+}
+
 #[test]
 fn a_render_tells_its_error_and_meets_a_tolerance() {
     let rough = MIRROR.replace("roughness = 0", "roughness = 0.4");
     let ball = "def Sphere \"ball\" { double radius = 0.5\ndouble3 xformOp:translate = (0, 0.6, 0)\nuniform token[] xformOpOrder = [\"xformOp:translate\"] }";
-    let (folder, path) = stage(&floor(&rough, &format!("{SKY}\n{ball}")));
-    let out = folder.path().join("out.exr");
-    let report = json(&run(&[
-        "render",
-        path.to_str().expect("UTF-8"),
-        "-o",
-        out.to_str().expect("UTF-8"),
-        "--usd",
-        "native",
-        "--aov",
-        "specular_indirect,occlusion",
-        "--tolerance",
-        "0.02",
-        "--image-width",
-        "96",
-        "--json",
-    ]));
+    let text = floor(&rough, &format!("{SKY}\n{ball}"));
+    let aovs = ["--aov", "specular_indirect,occlusion"];
+    let flags = [&aovs[..], &["--tolerance", "0.02", "--image-width", "96"]].concat();
+    let (_folder, report) = rendered(&text, &flags);
     let error = report["error"]["aovs"]["specular_indirect"].as_f64();
     assert!(
         error.is_some_and(|error| error > 0.0 && error <= 0.02),
@@ -246,25 +312,11 @@ fn a_render_tells_its_error_and_meets_a_tolerance() {
 fn picture(inputs: &str, aovs: &str) -> (Vec<f32>, serde_json::Value) {
     let ball = "def Sphere \"ball\" { double radius = 0.5\nrel material:binding = </World/Look>\ndouble3 xformOp:translate = (0, 0.5, 0)\nuniform token[] xformOpOrder = [\"xformOp:translate\"] }";
     let near = "def Camera \"near\" { double3 xformOp:translate = (0, 0.4, 6)\nuniform token[] xformOpOrder = [\"xformOp:translate\"] }";
-    let (folder, path) = stage(&floor(inputs, &format!("{SKY}\n{ball}\n{near}")));
+    let text = floor(inputs, &format!("{SKY}\n{ball}\n{near}"));
+    let shot = ["--camera", "/World/near", "--image-width", "64"];
+    let flags = [&shot[..], &["--aov", aovs, "--tolerance", "0.05"]].concat();
+    let (folder, report) = rendered(&text, &flags);
     let out = folder.path().join("out.exr");
-    let report = json(&run(&[
-        "render",
-        path.to_str().expect("UTF-8"),
-        "-o",
-        out.to_str().expect("UTF-8"),
-        "--usd",
-        "native",
-        "--camera",
-        "/World/near",
-        "--aov",
-        aovs,
-        "--tolerance",
-        "0.05",
-        "--image-width",
-        "64",
-        "--json",
-    ]));
     let image = exr::prelude::read_first_rgba_layer_from_file(
         &out,
         |size, _| (size.width(), vec![0.0; 3 * size.area()]),

@@ -1,14 +1,8 @@
 //! Settings that are not typed: SurfluxBakeSettings on the stage, `--config`, variables; who wins, and what
 //! `--print-config` tells of it. The schema against usdGenSchema and usd-core.
 
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-#[path = "support/python.rs"]
-mod python;
-
-use program::{json, stderr};
-use python::{python, run_python, tools};
+use crate::program::{json, stderr};
+use crate::python::{python, run_python, tools};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -63,7 +57,7 @@ def Scope "Render" {
 
 /// The program, with a Python for the door of usd-core.
 fn surflux() -> Command {
-    let mut program = program::surflux();
+    let mut program = crate::program::surflux();
     program.env("SURFLUX_USD_PYTHON", python());
     program
 }
@@ -73,7 +67,7 @@ fn run<A: AsRef<std::ffi::OsStr>>(args: &[A]) -> Output {
 }
 
 fn stage(text: &str) -> (tempfile::TempDir, PathBuf) {
-    program::stage(text)
+    crate::program::stage(text)
 }
 
 /// What `--print-config` tells of `command` on `stage`.

@@ -1,17 +1,11 @@
 //! Lights where nobody should put them and of any brightness: results are finite and what closed forms say.
 
-#[path = "support/floors.rs"]
-mod floors;
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-
-use program::{run, stage, stderr};
+use crate::program::{run, stage, stderr};
 use std::fs;
 
 /// A white floor 2 wide at the origin, facing up, and `more`.
 fn scene(more: &str) -> String {
-    floors::floor(1.0, 0.8, more)
+    crate::floors::floor(1.0, 0.8, more)
 }
 
 /// A square of half edge `half` around (`x`, `y`, 0), level, seen and shining from below: an image, or a constant.

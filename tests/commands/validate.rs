@@ -1,14 +1,7 @@
 //! `surflux validate`: our own files pass, and each kind of damage is told in its words.
 
-#[path = "support/python.rs"]
-mod python;
-
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-
-use program::{ROOM, json, stderr, surflux};
-use python::{python, run_python};
+use crate::program::{ROOM, json, stderr, surflux};
+use crate::python::{python, run_python};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -479,7 +472,7 @@ fn a_layer_of_values_alone_is_checked_as_far_as_it_goes() {
 
 #[test]
 fn files_that_are_neither_or_damaged_are_refused() {
-    let (folder, path) = program::stage("#usda 1.0\ndef Xform \"x\"\n{\n}\n");
+    let (folder, path) = crate::program::stage("#usda 1.0\ndef Xform \"x\"\n{\n}\n");
     let refused = |path: &Path| {
         let found = validate(path, Door::Native, &Diagnostics::default());
         found.expect_err("refused").to_string()

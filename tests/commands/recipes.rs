@@ -1,13 +1,7 @@
 //! `surflux run`: order, what is up to date, failures, crashes, and the recipes in `pipelines/`.
 
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-#[path = "support/python.rs"]
-mod python;
-
-use program::{ROOM, files, json, run, stderr, surflux};
-use python::{python, run_python};
+use crate::program::{ROOM, files, json, run, stderr, surflux};
+use crate::python::{python, run_python};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs;

@@ -1,10 +1,6 @@
 //! End to end: a stage in, files out; exit codes and messages of bad input.
 
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-
-use program::{ROOM, files, json, run, stage, stderr, surflux};
+use crate::program::{ROOM, files, json, run, stage, stderr, surflux};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};

@@ -1,10 +1,6 @@
 //! `surflux bake --positions`: results at points of a file, against closed forms.
 
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-
-use program::{run, stage, stderr};
+use crate::program::{run, stage, stderr};
 use std::f32::consts::PI;
 use std::fs;
 use std::path::Path;

@@ -1,10 +1,6 @@
 //! Light of groups of sources, end to end: parts are what each source does alone, and their sum is the whole.
 
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-
-use program::{ROOM, run, stage, stderr};
+use crate::program::{ROOM, run, stage, stderr};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;

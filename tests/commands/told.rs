@@ -1,12 +1,6 @@
 //! `--report` and `--thumbnail`: what the page shows against renders read by OpenEXR and developed by numpy.
 
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-#[path = "support/python.rs"]
-mod python;
-
-use program::{ROOM, files, json, run, stderr};
+use crate::program::{ROOM, files, json, run, stderr};
 use std::path::Path;
 
 /// Runs `command` on the example natively, writing `file` of `folder`.
@@ -117,7 +111,7 @@ fn a_page_shows_light_with_and_without_reflections_as_renders_have_it() {
         "plain.exr",
         &[&plain[..], &["--rays", "256"]].concat(),
     );
-    python::run_python(AS_RENDERED, &[folder.to_str().expect("UTF-8")]);
+    crate::python::run_python(AS_RENDERED, &[folder.to_str().expect("UTF-8")]);
 }
 
 #[test]
@@ -177,7 +171,7 @@ fn pages_of_bakes_and_clouds_show_what_was_written() {
     let wide = ["--image-width", "640", "-q", "--usd", "native", "-o", seen];
     let result = run(&[&["view", &baked][..], &viewed, &wide].concat());
     assert!(result.status.success(), "{}", stderr(&result));
-    python::run_python(SAME_PICTURE, &[bake.as_str(), "occlusion", seen]);
+    crate::python::run_python(SAME_PICTURE, &[bake.as_str(), "occlusion", seen]);
 }
 
 /// The picture called so on a page has the pixels of the file.
@@ -218,7 +212,7 @@ fn flags_are_environment_variables_and_what_is_typed_wins() {
     let folder = tempfile::tempdir().expect("a folder");
     let output = folder.path().join("o.exr");
     let render = |variables: &[(&str, &str)], more: &[&str]| {
-        let mut command = program::surflux();
+        let mut command = crate::program::surflux();
         let typed = [
             "render",
             ROOM,

@@ -1,11 +1,7 @@
 //! Particles of clouds as sources of light, end to end, against closed forms.
 
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-
+use crate::program::{run, stage, stderr};
 use glam::Vec3;
-use program::{run, stage, stderr};
 use std::f32::consts::PI;
 use std::fs;
 

@@ -1,14 +1,7 @@
 //! A job reads what it needs and nothing else: files by what the system saw opened, values by the statistics.
 
-#[path = "support/python.rs"]
-mod python;
-
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-
-use program::{json, run};
-use python::{python, run_python};
+use crate::program::{json, run};
+use crate::python::{python, run_python};
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -177,7 +170,7 @@ fn statistics_count_what_was_read_and_info_says_it_before() {
         .into_owned();
     let output = folder.path().join("o.usda").to_string_lossy().into_owned();
     let ask = |door: &str, args: &[&str]| {
-        let mut program = program::surflux();
+        let mut program = crate::program::surflux();
         program.env("SURFLUX_USD_PYTHON", python());
         program.args(args).args(["--usd", door, "--json"]);
         json(&program.output().expect("the program starts"))
@@ -210,7 +203,7 @@ fn frames_read_again_only_what_moves_and_bake_the_same_values() {
         .into_owned();
     let read = |door: &str, frames: &str| {
         let output = folder.path().join("o.usda").to_string_lossy().into_owned();
-        let mut program = program::surflux();
+        let mut program = crate::program::surflux();
         program.env("SURFLUX_USD_PYTHON", python());
         program.args(bake(&stage, &output, "occlusion"));
         program.args(["--usd", door, "--frames", frames, "--json"]);
@@ -251,7 +244,7 @@ schema = json.load(open(sys.argv[1]))
 jsonschema.Draft202012Validator.check_schema(schema)
 jsonschema.validate(json.loads(sys.argv[2]), schema)";
     for args in [&[][..], &["--for", "bake", "--aov", "occlusion"]] {
-        let mut program = program::surflux();
+        let mut program = crate::program::surflux();
         program.env("SURFLUX_USD_PYTHON", python());
         program
             .args(["info", &stage, "--usd", "usd-core", "--json"])
@@ -288,7 +281,13 @@ jsonschema.validate(json.loads(sys.argv[2]), schema)";
             assert_eq!((&sky["width"], &sky["height"]), (&8.into(), &4.into()));
         }
     }
-    let room = json(&run(&["info", program::ROOM, "--usd", "native", "--json"]));
+    let room = json(&run(&[
+        "info",
+        crate::program::ROOM,
+        "--usd",
+        "native",
+        "--json",
+    ]));
     run_python(validate, &[schema, &room.to_string()]);
 }
 
@@ -319,7 +318,7 @@ def SphereLight "off"
     float inputs:intensity = 0
 }
 "#;
-    let (_folder, path) = program::stage(text);
+    let (_folder, path) = crate::program::stage(text);
     let info = json(&run(&[
         "info",
         &path.to_string_lossy(),

@@ -1,13 +1,7 @@
 //! Surfaces that let light through: cut-outs and partial opacity of UsdPreviewSurface, end to end, against closed forms.
 
-#[path = "support/floors.rs"]
-mod floors;
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-
+use crate::program::{json, run, stage, stderr};
 use glam::{Vec3, Vec4};
-use program::{json, run, stage, stderr};
 use std::f32::consts::PI;
 use std::fs;
 use std::path::Path;
@@ -17,7 +11,7 @@ const FAR: f32 = 1e4;
 
 /// A floor 1 wide at the origin, facing up, its points at (±0.5, 0, ±0.5), and `more`.
 fn scene(more: &str) -> String {
-    floors::floor(0.5, 0.0, more)
+    crate::floors::floor(0.5, 0.0, more)
 }
 
 /// A level card at `height` of half edge `half` that faces down, with material inputs; its st are 0…1 across it.

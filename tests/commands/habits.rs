@@ -1,14 +1,8 @@
 //! What every command does alike: examples in `--help` that parse, messages as JSON, statistics as their schemas say, and
 //! who made each output, read back by other programs.
 
-#[allow(dead_code, reason = "every test file uses some of the helpers")]
-#[path = "support/program.rs"]
-mod program;
-#[path = "support/python.rs"]
-mod python;
-
-use program::{ROOM, json, run, stderr, surflux};
-use python::run_python;
+use crate::program::{ROOM, json, run, stderr, surflux};
+use crate::python::run_python;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
