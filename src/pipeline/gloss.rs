@@ -74,7 +74,7 @@ const SHARE_OF_GLOSS: f64 = 0.4;
 
 /// Gloss that is little of the color may err by so many times the tolerance of itself: a small thing that shines, which
 /// the few receivers of a pilot do not meet, should show no pattern of its rays.
-const LOOSEST_GLOSS: f64 = 5.0;
+const LOOSEST_GLOSS: f64 = 3.0;
 
 /// Rays that tell, at the few receivers of a pilot, how much of the color gloss is.
 const RAYS_OF_MEAN: u32 = 32;

@@ -88,7 +88,9 @@ fn color_is_what_leaves_towards_the_eye_and_diffuse_where_there_is_none() {
         let parts = of("emission") + of("diffuse_direct") + of("diffuse_indirect");
         let gloss = of("specular_indirect");
         assert!(gloss.min_element() > 0.02, "{gloss}");
-        assert!(of("color").abs_diff_eq(parts + gloss, 1e-6), "{view}");
+        // Of gloss alone color asks for fewer rays.
+        let color = of("color");
+        assert!(color.abs_diff_eq(parts + gloss, 1e-3), "{view}: {color}");
         assert!(values(&text, "color", &[])[2].abs_diff_eq(parts, 1e-6));
     }
 }
@@ -204,10 +206,10 @@ fn reflected_panel(place: DVec3, view: DVec3, alpha: f64) -> f64 {
     sum
 }
 
-/// Wide lobes look at lamps, narrow ones meet them.
+/// Wide lobes look at lamps; narrow ones meet them, by chance.
 #[test]
 fn a_mirror_shows_what_rough_metal_reflects_of_a_lamp() {
-    for roughness in [0.3, 0.6, 0.9] {
+    for (roughness, most) in [(0.3, 0.08), (0.6, 0.02), (0.9, 0.02)] {
         let wall = format!(
             r#"def Mesh "wall" (prepend apiSchemas = ["MaterialBindingAPI"])
     {{
@@ -247,7 +249,7 @@ fn a_mirror_shows_what_rough_metal_reflects_of_a_lamp() {
             let exact = reflected_panel(place, view, roughness * roughness);
             let tint = DVec3::new(0.9, 0.7, 0.5);
             let error = value.as_dvec3() / (exact * tint) - 1.0;
-            assert!(error.abs().max_element() < 0.03, "{roughness}: {error}");
+            assert!(error.abs().max_element() < most, "{roughness}: {error}");
         }
     }
 }
