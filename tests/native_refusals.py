@@ -2,8 +2,9 @@
 
     target/test-venv/bin/python tests/native_refusals.py SURFLUX [COUNT [FIRST [FOLDER]]]
 
-SURFLUX is the program. Stages FIRST to FIRST + COUNT (default 500 from 0) are made in FOLDER (default: a temporary one)
-and opened with usd-core; those it has nothing to say about are read by `SURFLUX info --usd native`. Prints each refusal; exit
+SURFLUX is the program. Stages FIRST to FIRST + COUNT (default 500 from 0) are made in FOLDER (default: a temporary one):
+text and binary layers, some in packages, some with relocates. They are
+opened with usd-core; those it has nothing to say about are read by `SURFLUX info --usd native`. Prints each refusal; exit
 code 1 if there is any. Nothing has to be built for it. `COMPLAINTS=1` prints what usd-core complains of most.
 """
 import collections
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 
-from pxr import Tf, Usd, UsdUtils
+from pxr import Sdf, Tf, Usd, UsdUtils
 
 CHILDREN = ["a", "b", "c"]
 SHAPES = ["Xform", "Scope", "Mesh", "Cube", "Sphere", "Camera", "SphereLight", "BasisCurves", ""]
@@ -29,21 +30,51 @@ class Maker:
         self.folder = pathlib.Path(folder)
         self.layers = self.random.choice([1, 2, 3])
         self.libraries = [self.random.choice([1, 2, 2]) for _ in range(self.layers)]
+        # apart, so that what the layers hold does not depend on how they are stored
+        self.storage = random.Random("storage %d" % seed)
+        self.extensions = [self.storage.choice(["usda", "usda", "usdc"]) for _ in range(self.layers)]
+        self.is_package = self.storage.random() < 0.2
+        self.moves = self.storage.random() < 0.4
 
     def chance(self, share):
         return self.random.random() < share
 
     def write(self):
-        """Layers from the last one on: each may refer to those after it. The path of the root layer."""
+        """Layers from the last one on: each may refer to those after it. The path of the root layer, or of the package."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self.sublayered = [i for i in range(1, self.layers) if self.chance(0.4)]
         for layer in reversed(range(self.layers)):
-            (self.folder / self.name(layer)).write_text(self.layer(layer))
-        return self.folder / self.name(0)
+            self.store(self.folder / self.name(layer), self.layer(layer))
+        return self.packed() if self.is_package else self.folder / self.name(0)
 
     @staticmethod
-    def name(layer):
-        return "l%d.usda" % layer
+    def store(path, text):
+        if path.suffix == ".usda":
+            path.write_text(text)
+            return
+        # relocates take a newer version of the format than usd-core begins with, as it says each time
+        _silent = UsdUtils.CoalescingDiagnosticDelegate()
+        layer = Sdf.Layer.CreateAnonymous(".usda")
+        layer.ImportFromString(text)
+        layer.Export(str(path))
+
+    def packed(self):
+        path = self.folder / "all.usdz"
+        with Sdf.ZipFileWriter.CreateNew(str(path)) as package:
+            for layer in range(self.layers):
+                package.AddFile(str(self.folder / self.name(layer)), self.name(layer))
+        return path
+
+    def name(self, layer):
+        return "l%d.%s" % (layer, self.extensions[layer])
+
+    def relocates(self):
+        """What the prims of the world have from elsewhere, moved."""
+        moved = []
+        for i in range(self.storage.choice([1, 2])):
+            to = self.storage.choice(["</W/moved%d>" % i, "</W/w%d/moved>" % i])
+            moved.append("</W/w%d/%s>: %s" % (i, self.storage.choice(CHILDREN), to))
+        return "relocates = { %s }" % ", ".join(moved)
 
     def layer(self, layer):
         meta = ['defaultPrim = "L0"']
@@ -53,6 +84,8 @@ class Maker:
                 offset = " (offset = 2; scale = 0.5)" if self.chance(0.3) else ""
                 paths = ["@./%s@%s" % (self.name(i), offset) for i in self.sublayered]
                 meta.append("subLayers = [%s]" % ", ".join(paths))
+            if self.moves:
+                meta.append(self.relocates())
         prims = [self.library(layer, k) for k in range(self.libraries[layer])]
         if layer == 0:
             prims.append(self.world())
@@ -176,14 +209,17 @@ def main():
     program = sys.argv[1]
     count, first = [int(number) for number in (sys.argv[2:4] + ["500", "0"][len(sys.argv[2:4]) :])]
     folder = pathlib.Path(sys.argv[4] if len(sys.argv) > 4 else tempfile.mkdtemp())
-    clean = []
+    clean, packages, relocated = [], 0, 0
     kinds = collections.Counter()
     for seed in range(first, first + count):
-        path = Maker(seed, folder / str(seed)).write()
+        maker = Maker(seed, folder / str(seed))
+        path = maker.write()
         complaints = complaints_of_usd(path)
         kinds.update(complaint.split("\n")[0][:60] for complaint in complaints)
         if not complaints:
             clean.append(path)
+            packages += maker.is_package
+            relocated += maker.moves
     refused = 0
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
         for path, problem in zip(clean, pool.map(lambda path: refusal(program, path), clean)):
@@ -191,6 +227,7 @@ def main():
                 refused += 1
                 print("%s: %s" % (path, problem))
     print("%d stages, %d without a complaint of usd-core, %d of those refused" % (count, len(clean), refused))
+    print("of those %d are packages, and %d have relocates" % (packages, relocated))
     if os.environ.get("COMPLAINTS"):
         print(kinds.most_common(12))
     sys.exit(refused > 0)

@@ -75,3 +75,29 @@ fn layers_of_prims_that_are_not_there_are_not_opened_ahead_either() {
     let some = native(&masked, &Diagnostics::default()).expect("it is read");
     assert_eq!(some.meta.layers.len(), 1 + 2 * 99);
 }
+
+/// Makes binary layers in the folder `sys.argv[1]`: b.usdc, and a.usdc that refers to its default prim.
+const EXPORT: &str = r##"
+import sys
+from pxr import Sdf
+
+def export(name, text):
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString("#usda 1.0\n" + text)
+    layer.Export(sys.argv[1] + "/" + name)
+
+export("b.usdc", '(\ndefaultPrim = "B"\n)\ndef Xform "B" {\nint n = 3\ndef Cube "c" {\n}\n}\n')
+export("a.usdc", 'def "A" {\ndef "r" (references = @./b.usdc@) {\n}\ndef "p" (payload = @./b.usdc@</B/c>) {\n}\n}\n')
+"##;
+
+/// USD counts the path that such a reference has not, and does not write it.
+#[test]
+fn binary_layers_refer_to_default_prims() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    crate::python::run_python(EXPORT, &[folder.path()]);
+    let path = folder.path().join("a.usdc");
+    let tally = compare(&[Case::new(&path, None)]);
+    assert!(tally.different.is_empty(), "{}", tally.different.join("\n"));
+    let stage = native(&Case::new(&path, None), &Diagnostics::default()).expect("a stage");
+    assert!(stage.find("/A/r/c").is_some());
+}

@@ -6,7 +6,9 @@
     reason = "skipped tests say so, comparisons say how much they compared"
 )]
 
+mod circles;
 mod compare;
+mod crowds;
 mod damaged;
 mod features;
 mod frames;
@@ -14,7 +16,6 @@ mod layers;
 mod values;
 
 #[path = "../support/python.rs"]
-#[expect(dead_code, reason = "shared with tests that run scripts of their own")]
 mod python;
 #[path = "../support/stages.rs"]
 mod stages;

@@ -5,7 +5,7 @@
 //! relationship's targets lead. A relationship of the session layer's, which no file holds, asks it.
 
 use super::layer_files::LayerFiles;
-use super::properties::Sites;
+use super::sites::Sites;
 use super::twins::Siblings;
 use crate::diagnostics::CancelToken;
 use openusd::sdf::{self, FieldKey};

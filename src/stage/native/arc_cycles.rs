@@ -2,7 +2,8 @@
 //! to) or of an inherit or specialize. The crate follows them without an end in sight, so the layer that closes a circle
 //! is refused before it is composed. Circles of references and payloads alone the crate finds itself.
 
-use openusd::sdf::{AbstractData, FieldKey, ListOp, Path, Value};
+use super::list_ops::added;
+use openusd::sdf::{AbstractData, FieldKey, Path, Value};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What to look for in text, and the field of binary layers.
@@ -146,8 +147,8 @@ impl<'a> Walk<'a> {
         self
     }
 
-    /// True if a way from the prim at `path` comes to it again, or to one below it, by an arc that counts; so for all
-    /// prims on the way.
+    /// True if a way from the prim at `path` comes to it again, or to one below or above it, by an arc that counts; so for
+    /// all prims on the way.
     fn returns(&mut self, stack: &str, path: &Path) -> bool {
         let start = Site {
             stack: stack.to_owned(),
@@ -180,14 +181,19 @@ impl<'a> Walk<'a> {
         self.next()
     }
 
-    /// True if `site` is one of the way or below one of it, with an arc that counts between.
+    /// True if `site` is one of the way or below one of it, with an arc that counts between; or if it is above one of it and
+    /// a reference or payload is between too: what is above holds the prim itself, with its arcs. (That a prim inherits
+    /// what is above it the crate finds itself.)
     fn closes(&self, site: &Site) -> bool {
-        let mut counts = site.counts || self.of_any_arc;
+        let (mut counts, mut refers) = (site.counts || self.of_any_arc, !site.counts);
         for earlier in self.way.iter().rev() {
-            if counts && earlier.stack == site.stack && site.path.has_prefix(&earlier.path) {
+            let is_below = site.path.has_prefix(&earlier.path);
+            let is_above = refers && earlier.path.has_prefix(&site.path);
+            if counts && earlier.stack == site.stack && (is_below || is_above) {
                 return true;
             }
             counts |= earlier.counts;
+            refers |= !earlier.counts;
         }
         false
     }
@@ -314,26 +320,16 @@ fn arcs_of(path: &Path, value: Value, anchored: &dyn Fn(&str) -> String) -> Vec<
         is_class,
     };
     match value {
-        Value::ReferenceListOp(list) => items(&list)
+        Value::ReferenceListOp(list) => added(&list)
             .map(|item| arc(&item.asset_path, &item.prim_path, false))
             .collect(),
-        Value::PayloadListOp(list) => items(&list)
+        Value::PayloadListOp(list) => added(&list)
             .map(|item| arc(&item.asset_path, &item.prim_path, false))
             .collect(),
         Value::Payload(item) => vec![arc(&item.asset_path, &item.prim_path, false)],
-        Value::PathListOp(list) => items(&list).map(|item| arc("", item, true)).collect(),
+        Value::PathListOp(list) => added(&list).map(|item| arc("", item, true)).collect(),
         _ => Vec::new(),
     }
-}
-
-fn items<T: Default + Clone + PartialEq>(list: &ListOp<T>) -> impl Iterator<Item = &T> {
-    let lists = [
-        &list.explicit_items,
-        &list.prepended_items,
-        &list.added_items,
-        &list.appended_items,
-    ];
-    lists.into_iter().flatten()
 }
 
 #[cfg(test)]
@@ -386,6 +382,16 @@ mod tests {
         assert!(judged(&[("root", text)]).is_err());
         let usual = "class \"C\" {} def \"W\" { def \"a\" ( references = </W/b> ) {} def \"b\" ( inherits = </C> ) {} }";
         assert_eq!(judged(&[("root", usual)]), Ok(()));
+    }
+
+    /// What `b` refers to holds all of `a`, `b` itself included.
+    #[test]
+    fn circles_by_way_of_a_class_above_are_found() {
+        let text = "def \"W\" { def \"a\" { def \"b\" ( references = </D> ) {} } } def \"D\" ( payload = </K> ) {} def \"K\" ( specializes = </W/a> ) {}";
+        let message = judged(&[("root", text)]).unwrap_err();
+        assert!(message.contains("lead back"), "{message}");
+        let beside = "def \"W\" { class \"k\" {} def \"a\" { def \"b\" ( inherits = </W/k> ) {} } } def \"D\" ( references = </W/a> ) {}";
+        assert_eq!(judged(&[("root", beside)]), Ok(()));
     }
 
     #[test]

@@ -6,6 +6,7 @@
 use super::arc_cycles;
 use super::crate_values;
 use super::text::is_identifier;
+use openusd::sdf::FieldKey;
 
 /// Oldest and newest minor version (of major version 0) that can be read.
 const VERSIONS: std::ops::RangeInclusive<u8> = 4..=12;
@@ -21,6 +22,8 @@ pub(super) struct Soundness {
     pub(super) has_classes: bool,
     /// It may hold relocates.
     pub(super) has_relocates: bool,
+    /// It may hold expression variables.
+    pub(super) has_variables: bool,
 }
 
 /// # Errors
@@ -74,6 +77,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<Soundness, String> {
     Ok(Soundness {
         has_classes,
         has_relocates,
+        has_variables: tokens.contains(&FieldKey::ExpressionVariables.as_str().as_bytes()),
     })
 }
 
@@ -147,7 +151,8 @@ fn paths(mut reader: Reader<'_>, tokens: &[&[u8]]) -> Result<(), String> {
     let indices = reader.ints(count)?;
     let elements = reader.ints(count)?;
     let jumps = reader.ints(count)?;
-    if path_count != count {
+    // the empty path, which a reference without a prim has, is counted and not in the tree
+    if path_count != count && path_count != count.saturating_add(1) {
         return Err(format!("{path_count} paths announced, {count} found"));
     }
     let mut reached = vec![false; jumps.len()];
@@ -417,6 +422,7 @@ mod tests {
         let sound = Soundness {
             has_classes: false,
             has_relocates: false,
+            has_variables: false,
         };
         assert_eq!(check(&bytes), Ok(sound));
         for length in 0..bytes.len() {

@@ -1,7 +1,8 @@
 //! What one load has read, kept for loads of the same stage at other times: they read only what varies.
 
 use super::layer_files::LayerFiles;
-use super::properties::{Fault, Properties, Sites};
+use super::properties::Properties;
+use super::sites::{Fault, Sites};
 use crate::diagnostics::{CancelToken, Cancelled, Warning};
 use crate::stage::Error;
 use crate::stage::attributes::Attributes;

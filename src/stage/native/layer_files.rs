@@ -3,16 +3,17 @@
 
 use super::arc_cycles::{self, Arcs};
 use super::class_cycles::ClassArcs;
+use super::layer_assets::Content;
+use super::long_arrays::LongArrays;
 use super::package::Package;
 use super::pulse::Pulse;
 use super::{crate_check, text};
 use openusd::ar::{self, Asset, ResolvedPath, Resolver};
-use openusd::sdf::AbstractData;
-use openusd::usdc::CrateData;
+use openusd::sdf::{AbstractData, FieldKey};
+use openusd::usdc::{CrateData, CrateWriter};
 use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
-use std::fs::File;
-use std::io::{self, Cursor, Read, Seek, SeekFrom};
+use std::io::{self, Cursor};
 use std::path::{Component, Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
@@ -38,8 +39,11 @@ pub(super) struct LayerFiles {
     classes: RefCell<ClassArcs>,
     relocates: RefCell<Relocates>,
     last: RefCell<Option<(PathBuf, Option<Opened>)>>,
+    /// See [`Self::expect_variables_of`].
+    variables_of: RefCell<Option<String>>,
     /// All layers opened so far.
     opened: RefCell<HashSet<String>>,
+    long_arrays: LongArrays,
     pulse: Arc<Pulse>,
 }
 
@@ -55,77 +59,16 @@ pub(super) const EMPTY_SESSION: &str = "/surflux:session.usda";
 
 const EMPTY_LAYER: &str = "#usda 1.0\n";
 
-/// A file's bytes, shared.
-#[derive(Clone)]
-struct Bytes(Arc<Vec<u8>>);
-
-impl AsRef<[u8]> for Bytes {
-    fn as_ref(&self) -> &[u8] {
-        &self.0
-    }
-}
-
 /// A binary layer longer than this, bytes, is not held here once it is checked: the crate makes itself a copy, which
 /// stays as long as the stage.
 const LARGE: usize = 8 << 20;
 
 /// What is known of the layer opened last.
-enum Opened {
-    Small(Bytes),
-    /// Sound, and to be read from its file.
-    Large,
-}
-
-/// Bytes in memory as the crate reads them.
-struct LayerAsset(Cursor<Bytes>);
-
-impl Read for LayerAsset {
-    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        self.0.read(into)
-    }
-}
-
-impl Seek for LayerAsset {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.0.seek(to)
-    }
-}
-
-impl Asset for LayerAsset {
-    fn size(&self) -> io::Result<u64> {
-        Ok(self.0.get_ref().0.len() as u64)
-    }
-}
-
-/// A file as the crate reads it.
-struct LayerFile(File);
-
-impl Read for LayerFile {
-    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        self.0.read(into)
-    }
-}
-
-impl Seek for LayerFile {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.0.seek(to)
-    }
-}
-
-impl Asset for LayerFile {
-    fn size(&self) -> io::Result<u64> {
-        Ok(self.0.metadata()?.len())
-    }
-}
-
-impl Opened {
-    /// The layer at `path`, from its start.
-    fn asset(&self, path: &str) -> io::Result<Box<dyn Asset>> {
-        Ok(match self {
-            Self::Small(bytes) => Box::new(LayerAsset(Cursor::new(bytes.clone()))),
-            Self::Large => Box::new(LayerFile(File::open(path)?)),
-        })
-    }
+#[derive(Clone)]
+struct Opened {
+    content: Content,
+    /// It may hold expression variables.
+    has_variables: bool,
 }
 
 /// [`LayerFiles`] as the resolver the crate's stage owns.
@@ -144,9 +87,16 @@ impl LayerFiles {
             classes: RefCell::default(),
             relocates: RefCell::default(),
             last: RefCell::default(),
+            variables_of: RefCell::default(),
             opened: RefCell::default(),
+            long_arrays: LongArrays::default(),
             pulse,
         }
+    }
+
+    /// What the crate has marks for.
+    pub(super) fn long_arrays(&self) -> &LongArrays {
+        &self.long_arrays
     }
 
     /// What hears of progress.
@@ -279,35 +229,70 @@ impl LayerFiles {
         found
     }
 
-    /// The file `path`, repaired or checked if it is a layer. The crate opens a layer up to three times in a row.
+    /// The stage of the root layer `root` is about to be opened, with a session layer: the crate reads the root once for
+    /// its expression variables, then the session layer, then the root again. A root without such variables is as good
+    /// as empty until then.
+    pub(super) fn expect_variables_of(&self, root: &str) {
+        *self.variables_of.borrow_mut() = Some(root.to_owned());
+    }
+
+    /// The stage is open: what was held of layers, because the crate may open them again at once, is not needed.
+    pub(super) fn let_go(&self) {
+        *self.variables_of.borrow_mut() = None;
+        if let Some((_, opened)) = &mut *self.last.borrow_mut() {
+            *opened = None;
+        }
+    }
+
     fn open(&self, path: &str) -> io::Result<Box<dyn Asset>> {
+        let for_variables = self.variables_of.borrow().as_deref() == Some(path);
+        if !for_variables {
+            *self.variables_of.borrow_mut() = None;
+        }
+        if path == EMPTY_SESSION {
+            return Content::of(EMPTY_LAYER.into()).asset(path);
+        }
+        let opened = self.opened(path)?;
+        match for_variables && !opened.has_variables {
+            true => Content::of(empty_layer(path)?).asset(path),
+            false => opened.content.asset(path),
+        }
+    }
+
+    /// The file `path`, repaired or checked if it is a layer. The crate opens a layer up to three times in a row.
+    fn opened(&self, path: &str) -> io::Result<Opened> {
         if let Some((last, Some(opened))) = &*self.last.borrow()
             && last.as_os_str() == path
         {
-            return opened.asset(path);
+            return Ok(opened.clone());
         }
         *self.last.borrow_mut() = Some((PathBuf::from(path), None));
-        let bytes = self.read(path)?;
+        let (bytes, has_variables) = self.read(path)?;
         let is_file = ar::split_package_relative_path_outer(path).is_none();
-        let opened = match is_file && bytes.len() > LARGE && bytes.starts_with(CRATE_MAGIC) {
-            true => Opened::Large,
-            false => Opened::Small(Bytes(Arc::new(bytes))),
+        let content = match is_file && bytes.len() > LARGE && bytes.starts_with(CRATE_MAGIC) {
+            true => {
+                drop(bytes);
+                let without = self.long_arrays.without(Path::new(path));
+                without.map_or(Content::Large, Content::of)
+            }
+            false => Content::of(bytes),
         };
-        let asset = opened.asset(path);
-        *self.last.borrow_mut() = Some((PathBuf::from(path), Some(opened)));
-        asset
+        let opened = Opened {
+            content,
+            has_variables,
+        };
+        *self.last.borrow_mut() = Some((PathBuf::from(path), Some(opened.clone())));
+        Ok(opened)
     }
 
-    fn read(&self, path: &str) -> io::Result<Vec<u8>> {
-        if path == EMPTY_SESSION {
-            return Ok(EMPTY_LAYER.into());
-        }
+    /// Content of the file `path`, and whether it may hold expression variables.
+    fn read(&self, path: &str) -> io::Result<(Vec<u8>, bool)> {
         let bytes = self.bytes(path)?;
         if self.opened.borrow_mut().insert(path.to_owned()) {
             self.pulse.layer(bytes.len());
         }
         if is_package(path) {
-            return Ok(bytes);
+            return Ok((bytes, true));
         }
         if bytes.starts_with(CRATE_MAGIC) {
             let soundness = crate_check::check(&bytes).map_err(io::Error::other)?;
@@ -315,7 +300,7 @@ impl LayerFiles {
                 let data = CrateData::open(Cursor::new(&bytes), true).map_err(io::Error::other)?;
                 self.check_arcs(path, &data)?;
             }
-            return Ok(bytes);
+            return Ok((bytes, soundness.has_variables));
         }
         let text = String::from_utf8(bytes).map_err(io::Error::other)?;
         let repaired = text::repaired(&text).map_err(io::Error::other)?;
@@ -327,7 +312,8 @@ impl LayerFiles {
                 &openusd::usda::parse(&text).map_err(io::Error::other)?,
             )?;
         }
-        Ok(text.into_bytes())
+        let has_variables = text.contains(FieldKey::ExpressionVariables.as_str());
+        Ok((text.into_bytes(), has_variables))
     }
 
     fn bytes(&self, path: &str) -> io::Result<Vec<u8>> {
@@ -413,6 +399,18 @@ impl Resolver for SharedFiles {
     fn open_asset(&self, resolved_path: &ResolvedPath) -> io::Result<Box<dyn Asset>> {
         self.0.open(&resolved_path.to_string_lossy())
     }
+}
+
+/// A layer without content in the format that the name `path` asks for.
+fn empty_layer(path: &str) -> io::Result<Vec<u8>> {
+    let extension = Path::new(path).extension().unwrap_or_default();
+    if !extension.eq_ignore_ascii_case("usdc") {
+        return Ok(EMPTY_LAYER.into());
+    }
+    let mut bytes = Cursor::new(Vec::new());
+    let empty = openusd::usda::parse(EMPTY_LAYER).map_err(io::Error::other)?;
+    CrateWriter::write(&empty, &mut bytes).map_err(io::Error::other)?;
+    Ok(bytes.into_inner())
 }
 
 fn is_package(path: &str) -> bool {

@@ -6,18 +6,25 @@
 
 mod ahead;
 mod arc_cycles;
+mod child_table;
 mod class_cycles;
 mod complaints;
 mod convert;
 mod crate_check;
 mod crate_values;
+mod instance_key;
 mod interpolate;
 mod kept;
+mod layer_assets;
 mod layer_files;
+mod list_ops;
+mod long_arrays;
 mod package;
 mod properties;
 mod pulse;
 mod session;
+mod sites;
+mod specs;
 mod text;
 mod traverse;
 mod twin_keys;

@@ -4,8 +4,8 @@ use super::ahead::ASKING_PRIM;
 use super::complaints;
 use super::kept::Kept;
 use super::layer_files::{EMPTY_SESSION, LayerFiles, SharedFiles};
-use super::properties::Sites;
 use super::pulse::Pulse;
+use super::sites::Sites;
 use super::traverse::Traversal;
 use super::{OTHER_DOOR, Outcome};
 use crate::diagnostics::{CancelToken, Warning};
@@ -107,7 +107,12 @@ impl Session {
         }
         let root = self.root.to_string_lossy();
         let unreadable = |error: anyhow::Error| self.unreadable(&format!("{error:#}"));
-        let stage = builder.open(&root).map_err(unreadable)?;
+        if composition.session_layer.is_none() {
+            self.files.expect_variables_of(&self.identifier());
+        }
+        let opened = builder.open(&root);
+        self.files.let_go();
+        let stage = opened.map_err(unreadable)?;
         choose(&stage, &composition.variants).map_err(unreadable)?;
         let errors = stage.composition_errors();
         self.judge(&errors)?;

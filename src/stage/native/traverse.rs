@@ -2,9 +2,12 @@
 
 use super::OTHER_DOOR;
 use super::ahead::Ahead;
+use super::instance_key::InstanceKey;
 use super::kept::Walked;
 use super::layer_files::{EMPTY_SESSION, LayerFiles};
-use super::properties::{Fault, InstanceKey, Properties, Sites, text};
+use super::properties::Properties;
+use super::sites::{Fault, Sites};
+use super::specs::text;
 use super::twins::{Siblings, Sole, Twin};
 use crate::diagnostics::{CancelToken, Cancelled, Warning};
 use crate::stage::raw::{RawMeta, RawPrim, RawStage, ReadCounts, Request};
@@ -169,8 +172,10 @@ impl<'a> Traversal<'a> {
 
     /// Add the prim, if it is to be seen, and return its children.
     fn visit(&mut self, next: &Pending) -> Result<Vec<Pending>, Fault> {
-        self.files.pulse().prim(&next.path);
         let siblings = next.siblings.as_ref();
+        if siblings.is_some_and(|siblings| self.add_tabled(next, siblings)) {
+            return Ok(Vec::new());
+        }
         let mut sole = siblings.and_then(|all| all.borrow().sole(self.stage, &next.path));
         if let (Some(siblings), Some(own)) = (siblings, sole.take()) {
             let twin = siblings.borrow_mut().twin(&own);
@@ -179,6 +184,7 @@ impl<'a> Traversal<'a> {
                 None => sole = Some(own),
             }
         }
+        self.files.pulse().prim(&next.path);
         let sites = Sites::of(self.stage, &next.path).map_err(|error| Fault {
             layer: self.stage.root_layer().identifier().to_owned(),
             message: format!("{}: {error:#}", next.path),
@@ -210,13 +216,14 @@ impl<'a> Traversal<'a> {
             self.instances.push((index, number));
             if let (Some(siblings), Some(sole)) = (siblings, sole) {
                 let mut siblings = siblings.borrow_mut();
-                siblings.remember(sole, sites, &self.prims[index], number);
+                siblings.remember(self.stage, sole, sites, (&self.prims[index], number));
             }
             return Ok(Vec::new());
         }
         let names = handle.child_names().map_err(|error| sites.fault(&error))?;
         let has_siblings = self.finds_twins && !clips && names.len() > 1;
-        let siblings = has_siblings.then(|| Siblings::new(sites, self.stage));
+        let siblings =
+            has_siblings.then(|| Siblings::new(sites, self.stage).with_count(names.len()));
         let siblings = siblings.map(|siblings| Rc::new(RefCell::new(siblings)));
         let children = names
             .iter()
@@ -231,10 +238,30 @@ impl<'a> Traversal<'a> {
         Ok(children.map(child).collect())
     }
 
+    /// Add the prim, if a table of `siblings` says that it is an instance like one before, with plain attributes.
+    fn add_tabled(&mut self, next: &Pending, siblings: &RefCell<Siblings>) -> bool {
+        let mut siblings = siblings.borrow_mut();
+        let tabled = next.path.name().and_then(|name| siblings.tabled(name));
+        let Some((twin, child, table, site)) = tabled else {
+            return false;
+        };
+        self.files.pulse().prims(1);
+        let mut prim = RawPrim {
+            path: next.path.to_string(),
+            ..twin.prim.clone()
+        };
+        if !self.properties.read_tabled(table, child, site, &mut prim) {
+            return false;
+        }
+        self.instances.push((self.prims.len(), twin.number));
+        self.prims.push(prim);
+        true
+    }
+
     /// Add the prim that `own` makes, an instance like `twin`.
     fn add_twin(&mut self, next: &Pending, own: Sole, twin: &Twin) -> Result<Vec<Pending>, Fault> {
-        let sites = twin.sites(own);
-        let names = sites.property_names(self.stage)?;
+        self.files.pulse().prims(1);
+        let (sites, names) = twin.properties(self.stage, own)?;
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let mut prim = RawPrim {
             path: next.path.to_string(),

@@ -4,11 +4,13 @@
 //! composed of depends on its one spec and on nothing else, as long as its name occurs at no other site of its parent:
 //! the next one with an equal spec has the same sites, its own apart, and the same prototype.
 
-use super::properties::{Site, Sites};
+use super::child_table::{Child, ChildTable};
+use super::sites::{Fault, Site, Sites};
 use super::twin_keys::{ByKey, Key};
 use crate::stage::raw::RawPrim;
 use openusd::sdf::{self, AbstractData, ChildrenKey, FieldKey};
 use openusd::usd::Stage;
+use std::collections::HashMap;
 use std::rc::Rc;
 
 /// Fields of a prim spec that compose nothing.
@@ -23,6 +25,9 @@ const IDLE: [&str; 8] = [
     "propertyOrder",
 ];
 
+/// From so many children on it pays to make a table of them: it takes a tenth of what opening the layer takes.
+const MANY: usize = 1000;
+
 /// What one parent's children have in common.
 pub(super) struct Siblings {
     sites: Vec<Site>,
@@ -30,6 +35,10 @@ pub(super) struct Siblings {
     known: ByKey<Rc<Twin>>,
     /// What [`Self::is_new`] was asked of.
     met: ByKey<()>,
+    /// Of the only site, if that is in a binary layer and there are many children.
+    table: Option<ChildTable>,
+    /// By the number of their fields in the table.
+    tabled: HashMap<usize, Rc<Twin>>,
 }
 
 /// The one spec that makes a prim.
@@ -40,10 +49,13 @@ pub(super) struct Sole {
 
 /// An instance that was composed.
 pub(super) struct Twin {
+    /// Its sites with properties, and its own.
     sites: Sites,
-    /// Place of its own spec among `sites`.
+    /// Place of its own among `sites`.
     own: usize,
-    /// Without properties.
+    /// Names of the properties of the others.
+    names: Vec<String>,
+    /// Without path and properties.
     pub(super) prim: RawPrim,
     /// Of its prototype.
     pub(super) number: usize,
@@ -69,6 +81,39 @@ impl Siblings {
             sites,
             known: ByKey::default(),
             met: ByKey::default(),
+            table: None,
+            tabled: HashMap::new(),
+        }
+    }
+
+    /// There are `count` children: where these are many, they are looked up in a table.
+    pub(super) fn with_count(mut self, count: usize) -> Self {
+        if let [site] = &self.sites[..]
+            && count > MANY
+        {
+            self.table = ChildTable::of(&site.layer, &site.path);
+        }
+        self
+    }
+
+    /// The instance composed before that the child `name` makes again, what the table has of that child, and the site that
+    /// makes them all.
+    pub(super) fn tabled(
+        &mut self,
+        name: &str,
+    ) -> Option<(Rc<Twin>, Child, &mut ChildTable, &Site)> {
+        let table = self.table.as_mut()?;
+        let child = table.child(name)?;
+        let twin = self.tabled.get(&child.fields)?;
+        let is_alone = twin.sites.0.len() == 1;
+        is_alone.then(|| (Rc::clone(twin), child, table, &self.sites[0]))
+    }
+
+    /// What the child `name` makes is `twin`.
+    fn note(&mut self, name: Option<&str>, twin: &Rc<Twin>) {
+        let child = self.table.as_mut().zip(name);
+        if let Some(child) = child.and_then(|(table, name)| table.child(name)) {
+            self.tabled.insert(child.fields, Rc::clone(twin));
         }
     }
 
@@ -79,20 +124,23 @@ impl Siblings {
         let mut found = None;
         for site in &self.sites {
             let at = site.path.append_path(name).ok()?;
-            if stage.layer(&site.layer)?.data().has_spec(&at) {
-                if found.is_some() {
-                    return None;
-                }
-                found = Some(Site {
-                    layer: site.layer.clone(),
-                    path: at,
-                    offset: site.offset,
-                });
+            let layer = stage.layer(&site.layer)?;
+            let Some(fields) = layer.data().list_fields(&at) else {
+                continue;
+            };
+            if found.is_some() {
+                return None;
             }
+            let own = Site {
+                layer: Rc::clone(&site.layer),
+                path: at,
+                offset: site.offset,
+            };
+            found = Some((own, fields));
         }
-        let own = found?;
+        let (own, fields) = found?;
         let layer = stage.layer(&own.layer)?;
-        let key = key(layer.data(), &own.path)?;
+        let key = key(layer.data(), &own.path, fields)?;
         drop(layer);
         Some(Sole { own, key })
     }
@@ -111,38 +159,73 @@ impl Siblings {
 
     /// The instance composed before that `sole` makes again.
     pub(super) fn twin(&mut self, sole: &Sole) -> Option<Rc<Twin>> {
-        self.known.get(&sole.key)
+        let twin = self.known.get(&sole.key)?;
+        self.note(sole.own.path.name(), &twin);
+        Some(twin)
     }
 
     /// `sole` made `prim`, an instance of prototype `number`.
-    pub(super) fn remember(&mut self, sole: Sole, sites: Sites, prim: &RawPrim, number: usize) {
-        let own = sites
-            .0
-            .iter()
-            .position(|site| site.layer == sole.own.layer && site.path == sole.own.path);
-        let Some(own) = own else { return };
+    pub(super) fn remember(
+        &mut self,
+        stage: &Stage,
+        sole: Sole,
+        Sites(sites): Sites,
+        (prim, number): (&RawPrim, usize),
+    ) {
+        let is_own = |site: &Site| site.layer == sole.own.layer && site.path == sole.own.path;
+        let has_properties = |site: &Site| {
+            let layer = stage.layer(&site.layer);
+            let field = ChildrenKey::PropertyChildren.as_str();
+            layer.is_some_and(|layer| layer.data().has_field(&site.path, field))
+        };
+        let kept = |site: &Site| is_own(site) || has_properties(site);
+        let sites: Vec<Site> = sites.into_iter().filter(kept).collect();
+        let others = sites.iter().filter(|site| !is_own(site)).cloned();
+        let names = Sites(others.collect()).property_names(stage);
+        let (Some(own), Ok(names)) = (sites.iter().position(is_own), names) else {
+            return;
+        };
         let prim = RawPrim {
+            path: String::new(),
             attributes: Default::default(),
             relationships: Default::default(),
             unread: Vec::new(),
             ..prim.clone()
         };
         let twin = Twin {
-            sites,
+            sites: Sites(sites),
             own,
+            names,
             prim,
             number,
         };
-        self.known.insert(sole.key, Rc::new(twin));
+        let twin = Rc::new(twin);
+        self.note(sole.own.path.name(), &twin);
+        self.known.insert(sole.key, twin);
     }
 }
 
 impl Twin {
-    /// Sites of the instance that `sole` makes.
-    pub(super) fn sites(&self, sole: Sole) -> Sites {
+    /// Sites of the instance that `sole` makes, as far as they have properties, and the names of these, sorted.
+    ///
+    /// # Errors
+    /// When they cannot be decoded.
+    pub(super) fn properties(
+        &self,
+        stage: &Stage,
+        sole: Sole,
+    ) -> Result<(Sites, Vec<String>), Fault> {
+        let mut own = Sites(vec![sole.own]);
+        let mut names = own.property_names(stage)?;
+        if self.sites.0.len() == 1 {
+            return Ok((own, names));
+        }
+        names.extend(self.names.iter().cloned());
+        names.sort_unstable();
+        names.dedup();
         let mut sites = self.sites.clone();
-        sites.0[self.own] = sole.own;
-        sites
+        std::mem::swap(&mut sites.0[self.own], &mut own.0[0]);
+        Ok((sites, names))
     }
 }
 
@@ -154,9 +237,9 @@ const OWN: [&str; 4] = [
     FieldKey::Relocates.as_str(),
 ];
 
-/// Everything that the spec at `path` composes; `None` where that may depend on its name, or is no instance.
-fn key(data: &dyn AbstractData, path: &sdf::Path) -> Option<Key> {
-    let mut names = data.list_fields(path)?;
+/// Everything that the spec at `path`, which has the fields `names`, composes; `None` where that may depend on its name, or
+/// is no instance.
+fn key(data: &dyn AbstractData, path: &sdf::Path, mut names: Vec<String>) -> Option<Key> {
     let has = |name: &str| names.iter().any(|own| own == name);
     if !has(FieldKey::Instanceable.as_str()) || OWN.iter().any(|name| has(name)) {
         return None;
