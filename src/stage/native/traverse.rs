@@ -221,21 +221,31 @@ impl<'a> Traversal<'a> {
             return Ok(Vec::new());
         }
         let names = handle.child_names().map_err(|error| sites.fault(&error))?;
-        let has_siblings = self.finds_twins && !clips && names.len() > 1;
-        let siblings =
-            has_siblings.then(|| Siblings::new(sites, self.stage).with_count(names.len()));
-        let siblings = siblings.map(|siblings| Rc::new(RefCell::new(siblings)));
         let children = names
             .iter()
             .filter_map(|name| next.path.append_path(name.as_str()).ok());
+        Ok(self.pending(children.collect(), sites, (index, clips)))
+    }
+
+    /// The prims at `paths`, children of prim `parent`, which `sites` make, with value `clips` or without.
+    fn pending(
+        &self,
+        paths: Vec<sdf::Path>,
+        sites: Sites,
+        (parent, clips): (usize, bool),
+    ) -> Vec<Pending> {
+        let has_siblings = self.finds_twins && !clips && paths.len() > 1;
+        let siblings =
+            has_siblings.then(|| Siblings::new(sites, self.stage).with_count(paths.len()));
+        let siblings = siblings.map(|siblings| Rc::new(RefCell::new(siblings)));
         let child = |path| Pending {
             path,
-            parent: Some(index),
+            parent: Some(parent),
             clips,
             root: false,
             siblings: siblings.clone(),
         };
-        Ok(children.map(child).collect())
+        paths.into_iter().map(child).collect()
     }
 
     /// Add the prim, if a table of `siblings` says that it is an instance like one before, with plain attributes.
