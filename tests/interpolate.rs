@@ -214,7 +214,7 @@ fn with_gloss(count: u32, check: impl FnOnce(Run<'_>)) {
     scene.prims[0].materials = FaceMaterials::PerFace((0..faces).map(look).collect());
     let tracer = Tracer::new(&scene);
     let baked = spots(&scene, &tracer);
-    let mut receivers = receivers_in(&scene, PrimId(0), 2);
+    let mut receivers = receivers_in(&scene, PrimId(0), 3);
     receivers.toward_eye = (receivers.position.iter())
         .map(|position| (-*position).normalize())
         .collect();
@@ -241,7 +241,7 @@ fn with_gloss(count: u32, check: impl FnOnce(Run<'_>)) {
 fn rough_gloss_is_interpolated_and_smooth_gloss_is_not() {
     let gloss = |results: &Results| values(results, Aov::SpecularIndirect).to_vec();
     let mut truth = Vec::new();
-    with_gloss(1024, |run| truth = gloss(&run.whole()));
+    with_gloss(384, |run| truth = gloss(&run.whole()));
     with_gloss(64, |run| {
         let kinds = run.engine.kinds(run.receivers).expect("lobes");
         let half = kinds.len() / 2;
