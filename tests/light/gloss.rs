@@ -46,9 +46,52 @@ def Xform "World"
     )
 }
 
+/// A wall at x = 3 that faces −x and looks like this, as the inputs of UsdPreviewSurface say, and what `more` has below it.
+fn wall(inputs: &str, more: &str) -> String {
+    format!(
+        r#"def Mesh "wall" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {{
+        point3f[] points = [(3, -50, -50), (3, -50, 50), (3, 50, 50), (3, 50, -50)]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        uniform token subdivisionScheme = "none"
+        rel material:binding = </World/wall/Look>
+        def Material "Look"
+        {{
+            token outputs:surface.connect = </World/wall/Look/surface.outputs:surface>
+            def Shader "surface"
+            {{
+                uniform token info:id = "UsdPreviewSurface"
+                {inputs}
+                token outputs:surface
+            }}
+        }}
+        {more}
+    }}"#
+    )
+}
+
 const SKY: &str = "def DomeLight \"sky\" { float inputs:intensity = 1 }";
 
 const MIRROR: &str = "color3f inputs:diffuseColor = (0.9, 0.7, 0.5)\nfloat inputs:metallic = 1\nfloat inputs:roughness = 0";
+
+/// Gray metal.
+fn metal(roughness: f64) -> String {
+    format!(
+        "color3f inputs:diffuseColor = (0.5, 0.5, 0.5)\nfloat inputs:metallic = 1\nfloat inputs:roughness = {roughness}"
+    )
+}
+
+/// A panel of 2 by 2 and radiance 4 at x = 2, y = 5 that faces the wall.
+const LAMP: &str = r#"def RectLight "lamp"
+    {
+        float inputs:intensity = 4
+        float inputs:width = 2
+        float inputs:height = 2
+        double3 xformOp:translate = (2, 5, 0)
+        float xformOp:rotateY = -90
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateY"]
+    }"#;
 
 /// What a bake of `text` seen from `view` finds at the four points of the floor.
 fn baked(text: &str, view: &str) -> Vec<Vec3> {
@@ -127,56 +170,20 @@ fn a_dielectric_reflects_by_its_index_and_more_at_grazing_angles() {
 /// A wall of radiance 2, made of emission alone, is what a mirror before it shows: from where it stands under 45°.
 #[test]
 fn a_mirror_shows_the_wall_behind_the_eye() {
-    let wall = r#"def Mesh "wall" (prepend apiSchemas = ["MaterialBindingAPI"])
-    {
-        point3f[] points = [(3, -50, -50), (3, -50, 50), (3, 50, 50), (3, 50, -50)]
-        int[] faceVertexCounts = [4]
-        int[] faceVertexIndices = [0, 1, 2, 3]
-        uniform token subdivisionScheme = "none"
-        rel material:binding = </World/wall/Bright>
-        def Material "Bright"
-        {
-            token outputs:surface.connect = </World/wall/Bright/surface.outputs:surface>
-            def Shader "surface"
-            {
-                uniform token info:id = "UsdPreviewSurface"
-                color3f inputs:diffuseColor = (0, 0, 0)
-                color3f inputs:emissiveColor = (2, 2, 2)
-                token outputs:surface
-            }
-        }
-    }"#;
-    for value in baked(&floor(MIRROR, wall), "1,-1,0") {
+    let bright =
+        "color3f inputs:diffuseColor = (0, 0, 0)\ncolor3f inputs:emissiveColor = (2, 2, 2)";
+    let text = floor(MIRROR, &wall(bright, ""));
+    for value in baked(&text, "1,-1,0") {
         assert!(value.abs_diff_eq(Vec3::new(1.8, 1.4, 1.0), 5e-3), "{value}");
     }
-    assert_eq!(baked(&floor(MIRROR, wall), "-1,-1,0"), [Vec3::ZERO; 4]);
+    assert_eq!(baked(&text, "-1,-1,0"), [Vec3::ZERO; 4]);
 }
 
 /// Surfels of metal are black: what it reflects is found along the ray.
 #[test]
 fn a_mirror_shows_what_a_mirror_shows() {
-    let wall = r#"def Mesh "wall" (prepend apiSchemas = ["MaterialBindingAPI"])
-    {
-        point3f[] points = [(3, -50, -50), (3, -50, 50), (3, 50, 50), (3, 50, -50)]
-        int[] faceVertexCounts = [4]
-        int[] faceVertexIndices = [0, 1, 2, 3]
-        uniform token subdivisionScheme = "none"
-        rel material:binding = </World/wall/Metal>
-        def Material "Metal"
-        {
-            token outputs:surface.connect = </World/wall/Metal/surface.outputs:surface>
-            def Shader "surface"
-            {
-                uniform token info:id = "UsdPreviewSurface"
-                color3f inputs:diffuseColor = (0.5, 0.5, 0.5)
-                float inputs:metallic = 1
-                float inputs:roughness = 0
-                token outputs:surface
-            }
-        }
-    }"#;
-    let one = floor(MIRROR, &format!("{wall}\n{SKY}"));
-    for value in baked(&one, "1,-1,0") {
+    let text = floor(MIRROR, &format!("{}\n{SKY}", wall(&metal(0.0), "")));
+    for value in baked(&text, "1,-1,0") {
         let exact = Vec3::new(0.45, 0.35, 0.25);
         assert!(value.abs_diff_eq(exact, 5e-3), "{value}");
     }
@@ -210,38 +217,8 @@ fn reflected_panel(place: DVec3, view: DVec3, alpha: f64) -> f64 {
 #[test]
 fn a_mirror_shows_what_rough_metal_reflects_of_a_lamp() {
     for (roughness, most) in [(0.3, 0.08), (0.6, 0.02), (0.9, 0.02)] {
-        let wall = format!(
-            r#"def Mesh "wall" (prepend apiSchemas = ["MaterialBindingAPI"])
-    {{
-        point3f[] points = [(3, -50, -50), (3, -50, 50), (3, 50, 50), (3, 50, -50)]
-        int[] faceVertexCounts = [4]
-        int[] faceVertexIndices = [0, 1, 2, 3]
-        uniform token subdivisionScheme = "none"
-        rel material:binding = </World/wall/Metal>
-        def Material "Metal"
-        {{
-            token outputs:surface.connect = </World/wall/Metal/surface.outputs:surface>
-            def Shader "surface"
-            {{
-                uniform token info:id = "UsdPreviewSurface"
-                color3f inputs:diffuseColor = (0.5, 0.5, 0.5)
-                float inputs:metallic = 1
-                float inputs:roughness = {roughness}
-                token outputs:surface
-            }}
-        }}
-        def RectLight "lamp"
-        {{
-            float inputs:intensity = 4
-            float inputs:width = 2
-            float inputs:height = 2
-            double3 xformOp:translate = (2, 5, 0)
-            float xformOp:rotateY = -90
-            uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateY"]
-        }}
-    }}"#
-        );
-        let found = baked(&floor(MIRROR, &wall), "1,-1,0");
+        let text = floor(MIRROR, &wall(&metal(roughness), LAMP));
+        let found = baked(&text, "1,-1,0");
         let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
         for ((x, z), value) in corners.into_iter().zip(found) {
             let place = DVec3::new(3.0, 3.0 - x, z);
