@@ -46,9 +46,10 @@ const TRIES: u32 = 2;
 /// the scenes of the README did one win at 5 % or less, and trying them took a sixth of the pilot.
 const TRYING: f64 = 0.01;
 
-/// Of `color`, what surfaces reflect may be off by so many times the tolerance of itself: where no lamp shines it is all
-/// there is, and 5 % of a picture full of lamplight are blotches there.
-const LOOSEST_REFLECTION: f64 = 2.0;
+/// Of `color`, what surfaces reflect may be off by so many times the tolerance of the color at single receivers, root of the
+/// mean square: where no lamp shines it is all there is, and 5 % of a picture full of lamplight are blotches there. Under an
+/// open sky it is little everywhere.
+const LOOSEST_REFLECTION: f64 = 1.0;
 
 /// Share of the tolerance aimed at: the error of a few receivers is that of all within about a tenth.
 pub(super) const AIM: f64 = 0.9;
@@ -258,9 +259,9 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         let mean = self.light.means[i];
         let reflected = self.light.reflected.filter(|_| aov == Aov::Color);
         let most = reflected
-            .filter(|&reflected| reflected > 0.0 && mean > 0.0)
+            .filter(|reflected| reflected.mean > 0.0 && reflected.share > 0.0 && mean > 0.0)
             .map_or(f64::INFINITY, |reflected| {
-                LOOSEST_REFLECTION * tolerance * reflected / mean
+                LOOSEST_REFLECTION * tolerance / reflected.share * reflected.mean / mean
             });
         self.aovs.push(Measured {
             aov: measured,

@@ -31,10 +31,39 @@ pub(super) struct LightError {
     pub(super) relative: Vec<f64>,
     /// Mean magnitude of each AOV.
     pub(super) means: Vec<f64>,
-    /// The same of what surfaces reflect diffusely in `color`, if that is among them.
-    pub(super) reflected: Option<f64>,
+    /// What surfaces reflect diffusely in `color`, if that is among them.
+    pub(super) reflected: Option<Reflected>,
     /// The light with four times the samples, if it was looked at, and the relative error of each AOV there.
     pub(super) finer: Option<(Results, Vec<f64>)>,
+}
+
+/// A part of the color.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Reflected {
+    /// Mean magnitude.
+    pub(super) mean: f64,
+    /// How much of the color it is at single receivers: root of the mean square, 0…1.
+    pub(super) share: f64,
+}
+
+impl Reflected {
+    /// That of `values` in the `colors` of the same receivers.
+    fn of(values: &[f64], colors: &[f64]) -> Self {
+        let share = |(&part, &whole): (&f64, &f64)| {
+            if whole > 0.0 {
+                (part / whole).clamp(0.0, 1.0)
+            } else {
+                0.0
+            }
+        };
+        let square: f64 = (values.iter().zip(colors))
+            .map(|it| share(it).powi(2))
+            .sum();
+        Self {
+            mean: mean_magnitude(values),
+            share: (square / values.len().max(1) as f64).sqrt(),
+        }
+    }
 }
 
 impl<'a> LightScenes<'a> {
@@ -91,7 +120,11 @@ pub(super) fn measure(
         .iter()
         .map(|column| mean_magnitude(column))
         .collect();
-    let reflected = values(&run, Aov::DiffuseIndirect).filter(|_| has_color);
+    let color = aovs.iter().position(|&aov| aov == Aov::Color);
+    let reflected = color.and_then(|color| {
+        let reflected = values(&run, Aov::DiffuseIndirect)?;
+        Some(Reflected::of(&reflected, &columns[color]))
+    });
     let mut errors = vec![0.0; aovs.len()];
     let lit = aovs.iter().any(|&aov| is_lit(aov));
     let finer = pilot.scenes.finer.filter(|_| lit).map(look).transpose()?;
@@ -114,7 +147,7 @@ pub(super) fn measure(
         scale,
         relative: errors,
         means,
-        reflected: reflected.map(|values| mean_magnitude(&values)),
+        reflected,
         finer,
     })
 }
@@ -135,6 +168,15 @@ fn scale(excess: f64) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_part_of_the_color_is_told_by_its_mean_and_its_share_at_single_receivers() {
+        // All of one color, a tenth of a bright one, and nothing in the dark.
+        let found = Reflected::of(&[0.2, 0.4, 0.0], &[0.2, 4.0, 0.0]);
+        assert!((found.mean - 0.2).abs() < 1e-12);
+        assert!((found.share - (1.01_f64 / 3.0).sqrt()).abs() < 1e-12);
+        assert_eq!(Reflected::of(&[], &[]).share, 0.0);
+    }
 
     #[test]
     fn samples_grow_with_the_error_to_the_power_of_four_thirds() {
