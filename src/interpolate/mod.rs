@@ -171,9 +171,7 @@ impl Work<'_> {
             base::read_turns(self.base, few.normal[i], hemisphere, turns);
         };
         let read = gather::read(engine, &few, (4 * n, &reading), self.diagnostics)?;
-        let kinds = which.iter().map(|&i| self.gathering.kind(i as usize));
-        seeds.kind.extend(kinds);
-        seeds.extend(receivers, which, &read);
+        seeds.extend((receivers, &|i| self.gathering.kind(i)), which, &read);
         Ok(())
     }
 }

@@ -31,7 +31,7 @@ pub(super) struct Seeds {
     pub(super) position: Vec<Vec3>,
     pub(super) normal: Vec<Vec3>,
     /// Who may speak for whom.
-    pub(super) kind: Vec<Kind>,
+    kind: Vec<Kind>,
     /// `components` floats each.
     pub(super) values: Vec<f32>,
     /// Change of each of these with the normal.
@@ -66,11 +66,17 @@ impl Seeds {
         self.all().end..
     }
 
-    /// Add the receivers `which`, whose kinds are told already, with what was read of them: of each its values, then their
-    /// changes with the normal.
-    pub(super) fn extend(&mut self, receivers: &Receivers, which: &[u32], read: &[f32]) {
+    /// Add the receivers `which`, each of the `kind` told, with what was read of them: of each its values, then their changes
+    /// with the normal.
+    pub(super) fn extend(
+        &mut self,
+        (receivers, kind): (&Receivers, &dyn Fn(usize) -> Kind),
+        which: &[u32],
+        read: &[f32],
+    ) {
         let indices = || which.iter().map(|&i| i as usize);
         self.receiver.extend_from_slice(which);
+        self.kind.extend(indices().map(kind));
         self.position
             .extend(indices().map(|i| receivers.position[i]));
         self.normal.extend(indices().map(|i| receivers.normal[i]));
@@ -150,8 +156,7 @@ pub(super) mod testing {
             .collect();
         let mut seeds = Seeds::new(1);
         let which: Vec<u32> = (0..).take(all.len()).collect();
-        seeds.kind = vec![Some(0); all.len()];
-        seeds.extend(&receivers_at(&places), &which, &read);
+        seeds.extend((&receivers_at(&places), &|_| Some(0)), &which, &read);
         seeds
     }
 }

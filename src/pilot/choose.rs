@@ -2,6 +2,7 @@
 
 mod by_maps;
 mod groups;
+mod judge;
 
 use super::check::Check;
 use super::clock::Clock;
@@ -34,13 +35,6 @@ const RUNG: u32 = 4;
 /// Rays of the reference over the chosen number. Its own error, a third of the run's squared, is known: more rays tell the
 /// run's hardly better, since what is uncertain comes of the few receivers.
 const REFERENCE: f64 = 2.0;
-
-/// Where the error of the rays chosen promises that so small a part of them would do, these are looked at too: the ladder's
-/// few receivers and rays can be far off (the room of `examples`, 2 %: 2568 rays, of which 966 do).
-const FAR_FEWER: f64 = 0.6;
-
-/// So many times, the second time by the power that the first one told.
-const TRIES: u32 = 2;
 
 /// Engines beside rays and maps are looked at where what they stand on takes at most this share of the run: in none of
 /// the scenes of the README did one win at 5 % or less, and trying them took a sixth of the pilot.
@@ -155,30 +149,6 @@ struct Judge {
     reference: Results,
     /// Squared error of the reference over that of the chosen rays.
     share: f64,
-}
-
-/// Rays that judge others, and the power that errors fall with.
-struct Reference {
-    rays: f64,
-    results: Results,
-    law: f64,
-}
-
-impl Reference {
-    /// Squared error over that of so many `rays`.
-    fn share(&self, rays: f64) -> f64 {
-        (self.rays / rays).powf(-2.0 * self.law)
-    }
-}
-
-/// What so many rays hold.
-struct Held {
-    rays: f64,
-    /// Processor seconds of a receiver without neighbors.
-    lone_seconds: f64,
-    errors: Vec<f64>,
-    /// The worst of them over what is allowed.
-    ratio: f64,
 }
 
 /// Rays that each AOV needs, and the power that their error falls with.
@@ -398,68 +368,6 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             (before, low, rays) = (Some(ratio), high, rays * RUNG);
         }
         unreachable!("the ladder ends")
-    }
-
-    /// Gather the reference and check the rays chosen at all pilot receivers; more rays where they do not hold what the
-    /// ladder promised, fewer where they hold much more.
-    fn judge(&mut self, rays: f64, law: f64) -> Result<Judge, Cancelled> {
-        let mut reference = Reference {
-            rays: REFERENCE * rays,
-            results: self.rays(REFERENCE * rays, turn(0), &self.few)?.results,
-            law,
-        };
-        let mut held = self.hold(rays, &reference)?;
-        let next = |held: &Held| held.rays * (held.ratio / AIM).powf(1.0 / law);
-        while held.ratio > 1.0 && next(&held).min(MOST_RAYS) > held.rays {
-            let more = next(&held).min(MOST_RAYS);
-            if more > 0.5 * reference.rays {
-                // A reference of hardly more rays could not tell.
-                reference.rays = REFERENCE * more;
-                reference.results = self.rays(reference.rays, turn(0), &self.few)?.results;
-            }
-            held = self.hold(more, &reference)?;
-        }
-        let mut law = LAW;
-        for _ in 0..TRIES {
-            let fewer = held.rays * (held.ratio / AIM).powf(1.0 / law);
-            if fewer.max(FEWEST_RAYS) >= FAR_FEWER * held.rays {
-                break;
-            }
-            let other = self.hold(fewer.max(FEWEST_RAYS), &reference)?;
-            if other.ratio <= 1.0 {
-                held = other;
-                break;
-            }
-            law = (other.ratio / held.ratio).ln() / (held.rays / other.rays).ln();
-        }
-        let crowd = self.rays(held.rays, 0.0, &self.crowd)?.seconds_per_receiver;
-        let seconds_per_receiver = crowd.min(held.lone_seconds);
-        self.trials.push(Trial {
-            engine: "rays",
-            knobs: vec![("rays", f64::from(round(held.rays)))],
-            seconds_per_receiver,
-            error_over_tolerance: Some(held.ratio),
-        });
-        Ok(Judge {
-            share: reference.share(held.rays),
-            rays: held.rays,
-            seconds_per_receiver,
-            lone_seconds: held.lone_seconds,
-            errors: held.errors,
-            reference: reference.results,
-        })
-    }
-
-    /// What so many rays hold at all pilot receivers.
-    fn hold(&self, rays: f64, reference: &Reference) -> Result<Held, Cancelled> {
-        let look = self.rays(rays, 0.0, &self.few)?;
-        let errors = self.errors(&look.results, &reference.results, reference.share(rays));
-        Ok(Held {
-            rays,
-            lone_seconds: look.seconds_per_receiver,
-            ratio: self.ratio(&errors),
-            errors,
-        })
     }
 
     /// Processor seconds of the run and errors if `candidate` meets the tolerance in less than `best` seconds.

@@ -104,8 +104,8 @@ pub(super) fn measure(
     let mut looked_at = aovs.to_vec();
     let measured = aovs.iter().map(|&aov| measured_as(aov));
     looked_at.extend(measured.filter(|aov| aov.needs_environment() && !aovs.contains(aov)));
-    let has_color = aovs.contains(&Aov::Color);
-    if has_color && !looked_at.contains(&Aov::DiffuseIndirect) {
+    let color = aovs.iter().position(|&aov| aov == Aov::Color);
+    if color.is_some() && !looked_at.contains(&Aov::DiffuseIndirect) {
         looked_at.push(Aov::DiffuseIndirect);
     }
     let look = |scene: GatherScene<'_>| -> Result<Results, Cancelled> {
@@ -120,7 +120,6 @@ pub(super) fn measure(
         .iter()
         .map(|column| mean_magnitude(column))
         .collect();
-    let color = aovs.iter().position(|&aov| aov == Aov::Color);
     let reflected = color.and_then(|color| {
         let reflected = values(&run, Aov::DiffuseIndirect)?;
         Some(Reflected::of(&reflected, &columns[color]))
