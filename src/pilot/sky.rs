@@ -59,6 +59,9 @@ const OWN_SHARE: f64 = 0.8;
 /// a quarter.
 const TRY_SHARE: f64 = 0.35;
 
+/// Part of expected seconds that is counted on before anything was drawn: they are right within a factor of two.
+const UNSURE: f64 = 0.5;
+
 /// What is asked for.
 #[derive(Debug)]
 pub(super) struct Question<'a> {
@@ -135,10 +138,8 @@ pub(super) fn search(
     diagnostics: &Diagnostics,
 ) -> Result<Option<SkyBid>, Cancelled> {
     let plan = start.plan;
-    // Half: the expectation is right within a factor of two.
-    let is_too_dear =
-        |settings: &MapsSettings| 0.5 * question.expected(plan, settings) > start.limit;
-    if is_too_dear(&start.settings(DETAILS[0], DIRECTIONS.0)) {
+    let cheapest = start.settings(DETAILS[0], DIRECTIONS.0);
+    if UNSURE * question.expected(plan, &cheapest) > start.limit {
         return Ok(None);
     }
     let guess = start.directions.clamp(DIRECTIONS.0, DIRECTIONS.1);
@@ -146,27 +147,29 @@ pub(super) fn search(
     let sets = trial::sets(question, start, guess);
     let fewest = spread.least(question);
     let mut best: Option<SkyBid> = None;
-    // What the last detail took to try, and its own errors over what is allowed.
+    // Of the last detail tried: its own errors over what is allowed, and what it took over what was expected.
     let mut last: Option<(f64, f64)> = None;
     for (number, detail) in DETAILS.into_iter().enumerate() {
         let settings = |directions: f64| start.settings(detail, directions);
         let least = settings(fewest);
-        // The expectation of one detail over another is better.
-        let expected = |settings: &MapsSettings| question.expected(plan, settings);
         let holds = best.as_ref().filter(|best| best.holds(start.limit));
-        let is_worthless = |best: &SkyBid| {
-            let saved = expected(&best.settings) - expected(&least);
-            last.is_none_or(|(cost, _)| saved <= cost)
-        };
+        let limit = holds.map_or(start.limit, |best| best.seconds);
+        let trying = trial::expected_seconds(question, (plan, &settings), &sets);
+        // The expectation of one detail over another is better than one alone.
+        let scale = last.map_or(UNSURE, |(_, scale)| scale);
+        let is_worthless = scale * (question.expected(plan, &least) + trying) >= limit;
         let is_hopeless =
-            number > 0 && number < FINE && last.is_some_and(|(_, own_ratio)| own_ratio > HOPELESS);
-        if is_too_dear(&least) || is_hopeless || holds.is_some_and(is_worthless) {
+            number > 0 && number < FINE && last.is_some_and(|(own_ratio, _)| own_ratio > HOPELESS);
+        if is_hopeless || is_worthless {
             continue;
         }
         let clock = Clock::start();
         let attempt = Attempt::make(question, (plan, &settings), &sets, diagnostics)?;
         let bid = attempt.bid(question, (plan, &settings), &spread);
-        last = Some((clock.seconds(), bid.own_ratio));
+        last = Some((
+            bid.own_ratio,
+            clock.seconds() / trying.max(f64::MIN_POSITIVE),
+        ));
         trials.push(record(&bid, question));
         if bid.beats(best.as_ref(), start.limit) {
             best = Some(bid);

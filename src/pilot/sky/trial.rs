@@ -43,6 +43,16 @@ pub(super) fn sets(question: &Question<'_>, start: &Start<'_>, guess: f64) -> [S
     })
 }
 
+/// Processor seconds that [`Attempt::make`] is expected to take.
+pub(super) fn expected_seconds(
+    question: &Question<'_>,
+    (plan, settings): Drawing<'_>,
+    sets: &[Set; 2],
+) -> f64 {
+    let of = |set: &Set| maps::seconds(plan, question.few.len(), &settings(set.directions));
+    sets.iter().map(of).sum()
+}
+
 /// A detail of maps that was tried.
 pub(super) struct Attempt {
     /// Of the second set, as the cost is.
