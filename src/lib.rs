@@ -10,6 +10,8 @@
 //!                   └──────────────▶ Receivers ──────────────────┘
 //! ```
 //!
+//! Surfaces that their materials displace are moved in the `Scene` ([`displacement`]) before anything else sees it.
+//!
 //! Occlusion at the points of every mesh of a stage, each step called by itself ([`pipeline`] strings them together):
 //!
 //! ```
@@ -57,6 +59,7 @@ pub mod trace;
 // steps, in the paper's order
 pub mod bake;
 pub mod bounce;
+pub mod displacement;
 pub mod exchange;
 pub mod gather;
 pub mod interpolate;

@@ -23,6 +23,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "lighting",
         &["math", "diagnostics", "scene", "image", "shading", "trace"],
     ),
+    ("displacement", &["diagnostics", "scene", "shading"]),
     // steps
     (
         "stage",

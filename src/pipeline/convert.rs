@@ -133,7 +133,7 @@ fn read_usd(job: &ConvertJob, diagnostics: &Diagnostics) -> Result<Read, Error> 
     }
     let needs = Needs {
         materials: true,
-        opacity: false,
+        solidity: false,
         lights: false,
         gloss: true,
     };

@@ -168,9 +168,9 @@ pub struct Report {
     pub outputs: Vec<PathBuf>,
     /// Everything that was not as it should be.
     pub warnings: Vec<Warning>,
-    /// True once some frame had surfaces that let light through: later ones read materials at once.
+    /// True once some frame had surfaces that let light through or are displaced: later ones read materials at once.
     #[serde(skip)]
-    pub(super) has_screens: bool,
+    pub(super) reads_materials: bool,
     /// Pictures of the first frame, where a page or a thumbnail was asked for.
     #[serde(skip)]
     pub shots: Vec<Shot>,
@@ -224,7 +224,7 @@ impl Report {
             error: ErrorReport::default(),
             outputs: Vec::new(),
             warnings: Vec::new(),
-            has_screens: false,
+            reads_materials: false,
             shots: Vec::new(),
             choices: BTreeMap::new(),
             dicings: BTreeMap::new(),

@@ -96,7 +96,7 @@ pub(super) fn read(
     let mut source = stage::open(path, stage.door, diagnostics)?;
     let nothing = Needs {
         materials: false,
-        opacity: false,
+        solidity: false,
         lights: false,
         gloss: false,
     };

@@ -3,6 +3,7 @@
 use super::report::{Report, timed};
 use super::{Dome, Error, StageJob};
 use crate::diagnostics::Diagnostics;
+use crate::displacement;
 use crate::lighting::{LightSamples, Lighting};
 use crate::results::Aov;
 use crate::scene::{Light, LightGroup, LightKind, Linked, ParticleSet, Scene};
@@ -19,8 +20,8 @@ use std::sync::Arc;
 pub(super) struct Needs {
     /// Materials, display colors, textures.
     pub materials: bool,
-    /// What lets light through.
-    pub opacity: bool,
+    /// What lets light through or is displaced.
+    pub solidity: bool,
     /// Lights.
     pub lights: bool,
     /// What is glossy about materials.
@@ -31,7 +32,7 @@ impl Needs {
     /// Materials and lights.
     pub(super) const ALL: Self = Self {
         materials: true,
-        opacity: true,
+        solidity: true,
         lights: true,
         gloss: true,
     };
@@ -45,14 +46,14 @@ impl Needs {
         }
     }
 
-    /// What `aovs` need: occlusion reads neither lights nor, where nothing lets light through, materials.
+    /// What `aovs` need: occlusion reads neither lights nor, where nothing lets light through or is displaced, materials.
     pub(super) fn of(aovs: &[Aov]) -> Self {
         let light = aovs
             .iter()
             .any(|aov| aov.needs_direct() || aov.needs_environment() || aov.needs_indirect());
         Self {
             materials: light || aovs.iter().any(|aov| aov.needs_material()),
-            opacity: true,
+            solidity: true,
             lights: light,
             gloss: aovs.iter().any(|aov| aov.needs_gloss()),
         }
@@ -67,15 +68,15 @@ pub(super) fn read_settings(job: &StageJob, time: Option<f64>, needs: Needs) -> 
         mask: job.mask.clone(),
         composition: job.composition.clone(),
         materials: needs.materials,
-        opacity: needs.opacity,
+        solidity: needs.solidity,
         lights: needs.lights,
         render_settings: job.settings.clone(),
         ..ReadSettings::default()
     }
 }
 
-/// The stage of `source` as [`stage::compose`] has it; where only opacity is asked for, `settings` ask for materials from here
-/// on if something lets light through.
+/// The stage of `source` as [`stage::compose`] has it; where only solidity is asked for, `settings` ask for materials from here
+/// on if something lets light through or is displaced.
 ///
 /// # Errors
 /// Whatever reading reports.
@@ -85,7 +86,8 @@ pub(super) fn compose(
     diagnostics: &Diagnostics,
 ) -> Result<RawStage, Error> {
     let raw = stage::compose(source, settings, diagnostics)?;
-    if settings.materials || !settings.opacity || !stage::opacity::may_pass(&raw) {
+    let matters = || stage::opacity::may_pass(&raw) || stage::displacement::may_displace(&raw);
+    if settings.materials || !settings.solidity || !matters() {
         return Ok(raw);
     }
     settings.materials = true;
@@ -141,11 +143,14 @@ pub(super) fn with_world<T>(
     let (scene, groups) = timed(&mut seconds, || {
         let _phase = diagnostics.phase("read", "stage", 0);
         let mut settings = read_settings(job, time, needs);
-        settings.materials |= report.has_screens;
+        settings.materials |= report.reads_materials;
         let raw = compose(source, &mut settings, diagnostics)?;
-        report.has_screens = settings.materials;
+        report.reads_materials = settings.materials;
         report.read.add(&raw.meta);
         let mut scene = stage::passes::scene(&raw, &settings, diagnostics)?;
+        report
+            .read
+            .add_images(displacement::displace(&mut scene, diagnostics).into_iter());
         let mut groups = Vec::new();
         if needs.lights {
             scene.lights.extend(job.dome.as_ref().map(dome_light));

@@ -27,7 +27,7 @@ pub(super) struct Compiled<'a> {
 
 /// Where an input's value comes from.
 #[derive(Debug, Clone, Copy)]
-enum Source<'a> {
+pub(super) enum Source<'a> {
     Constant(Vec4),
     Primvar {
         name: &'a str,
@@ -41,11 +41,11 @@ enum Source<'a> {
 
 /// A point, with the mesh and prim it is on.
 #[derive(Debug, Clone, Copy)]
-struct Place<'a> {
-    textures: &'a Textures,
-    mesh: &'a Mesh,
-    prim: &'a Prim,
-    point: &'a SurfacePoint,
+pub(super) struct Place<'a> {
+    pub(super) textures: &'a Textures,
+    pub(super) mesh: &'a Mesh,
+    pub(super) prim: &'a Prim,
+    pub(super) point: &'a SurfacePoint,
 }
 
 impl<'a> Compiled<'a> {
@@ -161,7 +161,7 @@ impl<'a> Compiled<'a> {
 
 impl<'a> Source<'a> {
     /// Textures that could not be decoded become their fallback.
-    fn new(input: &'a Input, textures: &Textures) -> Self {
+    pub(super) fn new(input: &'a Input, textures: &Textures) -> Self {
         match input {
             Input::Constant(value) => Self::Constant(*value),
             Input::Primvar { name, fallback } => Self::Primvar {
@@ -175,7 +175,8 @@ impl<'a> Source<'a> {
         }
     }
 
-    fn at(&self, place: &Place<'_>) -> Vec4 {
+    /// Its value there.
+    pub(super) fn at(&self, place: &Place<'_>) -> Vec4 {
         match *self {
             Self::Constant(value) => value,
             Self::Primvar { name, fallback } => place.primvar(name).unwrap_or(fallback),

@@ -1,6 +1,7 @@
 //! Material and textures at a point of a surface: albedo and emission, averaged over a footprint.
 
 pub mod gloss;
+mod heights;
 mod material;
 mod screens;
 mod textures;
@@ -10,6 +11,7 @@ use crate::scene::{Light, LightGroup, MaterialId, Prim, PrimId, Scene};
 use crate::trace::Opacity;
 use glam::Vec3;
 use gloss::{Gloss, Lobe};
+pub use heights::{Heights, displaces};
 use material::Compiled;
 use screens::Screens;
 pub use screens::may_be_screen;

@@ -22,6 +22,8 @@ pub(super) struct TextureId(usize);
 /// Which inputs have their textures decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Reads {
+    /// Those of displacement alone.
+    Displacement,
     /// Those of opacity.
     Opacity,
     /// Those of diffuse surfaces and emission too.
@@ -32,14 +34,18 @@ pub(super) enum Reads {
 
 /// Textures that `material` reads.
 fn reads(material: &Material, reads: Reads) -> impl Iterator<Item = &TextureRead> {
+    let displacement = [&material.displacement].into_iter();
+    let displacement = displacement.filter(move |_| reads == Reads::Displacement);
     let opacity = [&material.opacity, &material.opacity_threshold];
-    let opacity = (opacity.into_iter()).filter(|_| may_be_screen(material));
+    let opacity = (opacity.into_iter())
+        .filter(move |_| reads != Reads::Displacement && may_be_screen(material));
     let diffuse = [
         &material.diffuse_color,
         &material.emissive_color,
         &material.metallic,
     ];
-    let diffuse = (diffuse.into_iter()).filter(move |_| reads != Reads::Opacity);
+    let diffuse =
+        (diffuse.into_iter()).filter(move |_| matches!(reads, Reads::Diffuse | Reads::Gloss));
     let gloss = [
         &material.roughness,
         &material.specular_color,
@@ -51,6 +57,7 @@ fn reads(material: &Material, reads: Reads) -> impl Iterator<Item = &TextureRead
     diffuse
         .chain(opacity)
         .chain(gloss)
+        .chain(displacement)
         .filter_map(|input| match input {
             Input::Texture(read) => Some(read.as_ref()),
             _ => None,

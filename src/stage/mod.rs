@@ -5,6 +5,7 @@ pub mod attributes;
 pub mod bake_settings;
 pub mod cloud;
 mod composition;
+pub mod displacement;
 pub mod materialx;
 pub mod native;
 pub mod opacity;
@@ -163,8 +164,9 @@ pub struct ReadSettings {
     pub composition: Composition,
     /// Materials, displayColor and the primvars they read.
     pub materials: bool,
-    /// What tells whether anything lets light through ([`opacity::may_pass`]), where materials are not read.
-    pub opacity: bool,
+    /// What tells whether anything lets light through ([`opacity::may_pass`]) or is displaced
+    /// ([`displacement::may_displace`]), where materials are not read.
+    pub solidity: bool,
     /// Lights.
     pub lights: bool,
     /// Every primvar of meshes that is one of numbers, not only those that materials read.
@@ -183,7 +185,7 @@ impl Default for ReadSettings {
             mask: Vec::new(),
             composition: Composition::default(),
             materials: true,
-            opacity: false,
+            solidity: false,
             lights: true,
             all_primvars: false,
             refine_edge: None,
@@ -218,7 +220,7 @@ pub fn compose(
     if let Some(chosen) = &settings.render_settings {
         raw.meta.render_settings_prim_path = Some(chosen.clone());
     }
-    let raw = match settings.materials || settings.opacity {
+    let raw = match settings.materials || settings.solidity {
         true => materialx::graft(raw, diagnostics),
         false => raw,
     };

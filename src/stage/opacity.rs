@@ -11,7 +11,7 @@ pub(super) const ATTRIBUTES: [&str; 5] = [
     "primvars:displayOpacity",
 ];
 
-/// True if some prim of `raw`, which was read for [`super::ReadSettings::opacity`] or materials, has an opacity that is below 1
+/// True if some prim of `raw`, which was read for [`super::ReadSettings::solidity`] or materials, has an opacity that is below 1
 /// or comes from elsewhere: a texture, a primvar.
 pub fn may_pass(raw: &RawStage) -> bool {
     let passes = |prim: &RawPrim| {

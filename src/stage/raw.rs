@@ -175,8 +175,9 @@ impl Request {
                 "collection:*",
             ]);
         }
-        if settings.opacity {
+        if settings.solidity {
             attributes.extend(super::opacity::ATTRIBUTES);
+            attributes.push(super::displacement::ATTRIBUTE);
         }
         if settings.all_primvars {
             attributes.push("primvars:*");

@@ -7,6 +7,7 @@ mod floors;
 #[path = "../support/program.rs"]
 mod program;
 
+mod displacement;
 mod gloss;
 mod light_groups;
 mod odd_lights;

@@ -4,7 +4,7 @@ use crate::diagnostics::Diagnostics;
 use crate::image;
 use crate::pipeline::world::Needs;
 use crate::scene::{Input, LightKind, Scene};
-use crate::shading::may_be_screen;
+use crate::shading::{displaces, may_be_screen};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -49,7 +49,8 @@ pub(super) fn of(scene: &Scene, needs: Needs) -> Vec<TextureSummary> {
     };
     for material in &scene.materials {
         let is_decoded = |name: &str| {
-            (OPACITY.contains(&name) && may_be_screen(material))
+            (name == "displacement" && displaces(material))
+                || (OPACITY.contains(&name) && may_be_screen(material))
                 || (DIFFUSE.contains(&name) && needs.materials)
         };
         for (name, input) in material.inputs() {

@@ -44,10 +44,20 @@ pub(super) fn read(
         diagnostics,
         material: path,
     };
-    let mut material = reader.surface(prim);
-    material.path = path.to_owned();
-    material
+    let surface = reader.surface(prim);
+    Material {
+        path: path.to_owned(),
+        displacement: reader.displacement(prim),
+        ..surface
+    }
 }
+
+/// Outputs whose displacement counts, the one understood best first.
+const DISPLACEMENTS: [&str; 3] = [
+    "outputs:glslfx:displacement",
+    "outputs:displacement",
+    "outputs:mtlx:displacement",
+];
 
 /// Render contexts whose surface is understood best, then the universal one, then whatever there is.
 fn surface_outputs<'a>(paths: &Paths<'a>, prim: usize) -> Vec<&'a str> {
@@ -85,7 +95,7 @@ impl Reader<'_> {
             .iter()
             .find(|&&shader| is_preview_surface(id(shader)))
         {
-            return self.preview_surface(shader, prim);
+            return self.preview_surface(shader);
         }
         if let Some(reduced) = shaders
             .iter()
@@ -106,13 +116,32 @@ impl Reader<'_> {
         Material::default()
     }
 
-    fn preview_surface(&self, shader: usize, material: usize) -> Material {
+    /// What moves the surface of the material `prim`; with a warning nothing, where that is no UsdPreviewSurface.
+    fn displacement(&self, prim: usize) -> Input {
+        let default = Input::scalar(0.0);
+        let of = |output: &&str| match source(self.paths, prim, output) {
+            Source::Node { prim, .. } => Some(prim),
+            _ => None,
+        };
+        let Some(shader) = DISPLACEMENTS.iter().find_map(of) else {
+            return default;
+        };
+        let id = shader_id(self.paths.prim(shader));
+        if is_preview_surface(id) {
+            return self.input(shader, "displacement", Kind::Scalar, default);
+        }
+        let message =
+            format!("displacement shader `{id}` is not known: the surface stays where it is");
+        self.diagnostics
+            .warn("unsupported-displacement", self.material, message);
+        default
+    }
+
+    fn preview_surface(&self, shader: usize) -> Material {
         let default = Material::default();
         let scalar = |name: &str, default: Input| self.input(shader, name, Kind::Scalar, default);
         let color = |name: &str, default: Input| self.input(shader, name, Kind::Color, default);
-        let displaces = source(self.paths, material, "outputs:displacement") != Source::Nothing;
         Material {
-            path: String::new(),
             diffuse_color: color("diffuseColor", default.diffuse_color),
             emissive_color: color("emissiveColor", default.emissive_color),
             metallic: scalar("metallic", default.metallic),
@@ -127,16 +156,13 @@ impl Reader<'_> {
             ior: scalar("ior", default.ior),
             clearcoat: scalar("clearcoat", default.clearcoat),
             clearcoat_roughness: scalar("clearcoatRoughness", default.clearcoat_roughness),
-            displacement: match displaces {
-                true => scalar("displacement", default.displacement),
-                false => default.displacement,
-            },
             normal: match source(self.paths, shader, "inputs:normal") {
                 Source::Node { prim, output } => {
                     texture_read(self.paths, prim, output).map(Box::new)
                 }
                 _ => None,
             },
+            ..default
         }
     }
 
