@@ -142,7 +142,7 @@ class Evaluation:
         return entry
 
     def hull(self, prim, place, entry):
-        """Curves and patches: a box around their control points and half their largest width, which they are within."""
+        """Curves, patches and points: a box around their control points and half their largest width, which they are within."""
         points = np.array(prim.GetPointsAttr().Get(self.time) or [], dtype=float).reshape(-1, 3)
         entry["empty"] = not len(points)
         if entry["empty"]:
@@ -150,7 +150,8 @@ class Evaluation:
         points, place = self.posed(prim, points, np.array(place))
         entry["matrix"] = matrix(place)
         widths = prim.GetPrim().GetAttribute("widths")
-        widths = (widths.Get(self.time) if widths else None) or [1.0 if prim.GetPrim().IsA(UsdGeom.Curves) else 0.0]
+        is_thick = prim.GetPrim().IsA(UsdGeom.Curves) or prim.GetPrim().IsA(UsdGeom.Points)
+        widths = (widths.Get(self.time) if widths else None) or [1.0 if is_thick else 0.0]
         reach = max(widths) / 2
         entry["hull"] = numbers([*(points.min(axis=0) - reach), *(points.max(axis=0) + reach)])
 

@@ -143,3 +143,38 @@ fn black_negative_and_flat_points_give_nothing_and_a_warning() {
         assert!(said.contains("fire"), "{said}");
     }
 }
+
+#[test]
+fn points_of_the_stage_cover_as_spheres_and_as_disks_where_they_have_normals() {
+    // Seen from the middle of the floor, and from a corner: as much of the sky as a sphere, a disk takes.
+    let corner = 0.25 / 3.0_f32.powf(1.5);
+    for (normals, expected) in [
+        ("", [0.25, corner]),
+        ("normal3f[] normals = [(0, -1, 0)]", [0.2, 0.0]),
+    ] {
+        let points = format!(
+            "def Points \"ball\" {{ point3f[] points = [(0, 1, 0)]\nfloat[] widths = [1]\n{normals} }}"
+        );
+        let floor = FLOOR.replace(
+            "def Mesh \"lid\"",
+            &format!("{points}\n    def Mesh \"lid\""),
+        );
+        let (folder, path) = stage(&floor);
+        let out = folder.path().join("out.usda");
+        let [path, out_path] = [&path, &out].map(|path| path.to_str().expect("UTF-8"));
+        let flags = ["--aov", "occlusion", "--rays", "4096", "--usd", "native"];
+        let result = run(&[&["bake", path, "-o", out_path][..], &flags[..]].concat());
+        assert!(result.status.success(), "{}", stderr(&result));
+        let layer = fs::read_to_string(&out).expect("a layer");
+        let values = &layer[layer.find("primvars:occlusion = [").expect("baked") + 22..];
+        let values: Vec<f32> = (values[..values.find(']').expect("an end")].split(','))
+            .map(|value| value.trim().parse().expect("a number"))
+            .collect();
+        // A polyhedron: its outline is not round.
+        assert!((values[0] - expected[0]).abs() < 0.01, "{values:?}");
+        if expected[1] > 0.0 {
+            let off = values[1..].iter().map(|value| (value - expected[1]).abs());
+            assert!(off.fold(0.0, f32::max) < 0.003, "{values:?} {corner}");
+        }
+    }
+}

@@ -107,7 +107,7 @@ def Xform "top" {{
 #[test]
 fn what_is_not_drawn_is_named() {
     for shape in [
-        "Points \"x\" { point3f[] points = [(0, 0, 0)]\n}",
+        "TetMesh \"x\" { point3f[] points = [(0, 0, 0)]\n}",
         "NurbsCurves \"x\" { int[] curveVertexCounts = [2]
             int[] order = [2]
             double[] knots = [0, 0, 1, 1]
@@ -115,6 +115,20 @@ fn what_is_not_drawn_is_named() {
     ] {
         unsupported(&format!("def {shape}"), "unsupported-prim");
     }
+}
+
+#[test]
+fn points_with_and_without_widths_and_normals() {
+    let points = "point3f[] points = [(0, 0, 0), (3, 0, 1), (1, 2, 0)]";
+    let widths = "float[] widths = [0.5, 1, 0.25]";
+    let text = format!(
+        "def Points \"even\" {{ {points}\nfloat[] widths = [0.5] ( interpolation = \"constant\" )\n}}
+        def Points \"balls\" {{ {points}\n{widths}\nmatrix4d xformOp:transform = ( (2, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (5, 6, 7, 1) )
+            uniform token[] xformOpOrder = [\"xformOp:transform\"]\n}}
+        def Points \"disks\" {{ {points}\n{widths}\nnormal3f[] normals = [(0, 1, 0), (1, 0, 0), (0, 0, 1)]\n}}"
+    );
+    equal(&text, None, 3);
+    equal(&format!("def Points \"x\" {{ {points}\n}}"), None, 1);
 }
 
 #[test]

@@ -16,11 +16,13 @@ mod face_materials;
 mod gprims;
 mod inherited;
 mod instancer;
+mod layouts;
 mod limit_normals;
 mod normals;
 mod nurbs;
 mod patch;
 mod placement;
+mod point_set;
 mod primvars;
 mod refinement;
 mod solids;
@@ -43,6 +45,7 @@ use gprims::Gprim;
 use inherited::Inherited;
 use patch::Patch;
 use placement::{Kind, Placement};
+use point_set::PointSet;
 use rayon::prelude::*;
 use refinement::Fineness;
 use std::collections::HashMap;
@@ -197,10 +200,12 @@ impl Layout<'_> {
         }
     }
 
-    /// Curves and patches are cut as their largest occurrence asks.
+    /// Curves, patches and points are cut as their largest occurrence asks.
     fn ask_for_depth(&self, geometries: &[Geometry], sources: &mut [Source]) {
         for (geometry, source) in geometries.iter().zip(sources) {
-            if let Source::Curves(_, depth) | Source::Patch(_, depth) = source {
+            if let Source::Curves(_, depth) | Source::Patch(_, depth) | Source::Points(_, depth) =
+                source
+            {
                 let scale = self.scale_of(geometry).max(f64::MIN_POSITIVE);
                 *depth = solids::SCENE_ERROR * self.diagonal() / scale;
             }
@@ -367,6 +372,8 @@ enum Source<'a> {
     Curves(Box<Curves<'a>>, f64),
     /// The same.
     Patch(Box<Patch<'a>>, f64),
+    /// The same.
+    Points(Box<PointSet<'a>>, f64),
     Nothing,
 }
 
@@ -386,6 +393,8 @@ fn read_all<'a>(
                 }),
             Kind::Patch => Patch::read(geometry.prim, inherited, names, diagnostics)
                 .map_or(Source::Nothing, |patch| Source::Patch(Box::new(patch), 0.0)),
+            Kind::Points => PointSet::read(geometry.prim, inherited, names, diagnostics)
+                .map_or(Source::Nothing, |set| Source::Points(Box::new(set), 0.0)),
             _ => Gprim::read(geometry.prim, inherited, names, diagnostics)
                 .map_or(Source::Nothing, |gprim| Source::Gprim(Box::new(gprim), 0)),
         })
@@ -431,6 +440,7 @@ fn make(source: Source, level: usize, detail: Detail, diagnostics: &Diagnostics)
         Source::Gprim(gprim, facets) => (gprim.tessellate(facets), DVec3::ZERO),
         Source::Curves(curves, depth) => curves.tessellate(depth),
         Source::Patch(patch, depth) => patch.tessellate(depth),
+        Source::Points(set, depth) => set.tessellate(depth),
         Source::Mesh(mesh) if mesh.scheme == Scheme::None => {
             (mesh.as_polygons(diagnostics), mesh.center)
         }

@@ -37,16 +37,16 @@ pub(super) enum Kind {
     Gprim,
     Curves,
     Patch,
+    Points,
     Instancer,
     /// Would be drawn by others.
     Unsupported,
     Nothing,
 }
 
-const UNSUPPORTED: [&str; 9] = [
+const UNSUPPORTED: [&str; 8] = [
     "HermiteCurves",
     "NurbsCurves",
-    "Points",
     "TetMesh",
     "Volume",
     "GenerativeProcedural",
@@ -61,11 +61,20 @@ impl Kind {
             "Mesh" => Self::Mesh,
             "BasisCurves" => Self::Curves,
             "NurbsPatch" => Self::Patch,
+            "Points" => Self::Points,
             "PointInstancer" => Self::Instancer,
             name if gprims::TYPES.contains(&name) => Self::Gprim,
             name if UNSUPPORTED.contains(&name) => Self::Unsupported,
             _ => Self::Nothing,
         }
+    }
+
+    /// True if it is made into triangles.
+    fn is_surface(self) -> bool {
+        matches!(
+            self,
+            Self::Mesh | Self::Gprim | Self::Curves | Self::Patch | Self::Points
+        )
     }
 }
 
@@ -93,7 +102,7 @@ pub(super) fn placements(
         let is_drawn = occurrence.visible && walk.is_wanted(occurrence.purpose);
         match kind {
             Kind::Instancer if is_drawn => walk.place_points(next, &mut placed),
-            Kind::Mesh | Kind::Gprim | Kind::Curves | Kind::Patch if is_drawn => {
+            kind if kind.is_surface() && is_drawn => {
                 walk.warn_of_what_is_not_applied(next);
                 placed.push(Placement {
                     occurrence: next,
@@ -352,7 +361,7 @@ impl<'a> Walk<'a> {
                 continue;
             }
             match Kind::of(prim) {
-                Kind::Mesh | Kind::Gprim | Kind::Curves | Kind::Patch => {
+                kind if kind.is_surface() => {
                     self.warn_of_what_is_not_applied(index);
                     parts.push(Part {
                         occurrence: index,
@@ -368,7 +377,7 @@ impl<'a> Walk<'a> {
                     self.nested_parts(index, &suffix, (state.0, state.2), &mut parts);
                 }
                 Kind::Unsupported => self.warn_unsupported(index),
-                Kind::Nothing => {}
+                _ => {}
             }
         }
         parts

@@ -107,7 +107,10 @@ const NO_BOUNDS: (DVec3, DVec3) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
 
 fn object_box(raw: &RawStage, prim: usize) -> (DVec3, DVec3) {
     let prim = &raw.prims[prim];
-    let has_points = matches!(Kind::of(prim), Kind::Mesh | Kind::Curves | Kind::Patch);
+    let has_points = matches!(
+        Kind::of(prim),
+        Kind::Mesh | Kind::Curves | Kind::Patch | Kind::Points
+    );
     if has_points {
         let bounds = Bounds3::around(vectors(prim, "points").iter().copied());
         return (bounds.min.as_dvec3(), bounds.max.as_dvec3());

@@ -8,11 +8,11 @@
 mod basis;
 mod strand;
 
-use super::super::super::raw::{RawAttribute, RawPrim};
+use super::super::super::raw::RawPrim;
 use super::attributes::{boolean, ints, vectors};
 use super::authored::local_origin;
-use super::primvars::{AuthoredPrimvar, Layout, read_attribute};
-use super::topology::Topology;
+use super::layouts::{DEFAULT_WIDTH, Layouts};
+use super::primvars::{AuthoredPrimvar, Layout};
 use crate::diagnostics::Diagnostics;
 use crate::math::Bounds3;
 use crate::scene::{Interpolation, Mesh, Normals, Primvar};
@@ -20,9 +20,6 @@ use basis::{Form, Order, Place};
 use glam::{DVec3, Vec3, Vec4};
 use std::ops::Range;
 use strand::{Station, Strands};
-
-/// Width of curves without any: what Hydra draws.
-const DEFAULT_WIDTH: f32 = 1.0;
 
 /// Triangles of one prim, at most; coarser tubes from there on. 4 M hold 60 k hairs of 16 three-sided pieces.
 const TRIANGLE_BUDGET: usize = 4_000_000;
@@ -65,14 +62,6 @@ struct Curve {
     first_varying: usize,
 }
 
-/// What interpolations count over.
-struct Layouts {
-    /// Uniform and vertex.
-    vertex: Topology,
-    /// Varying and face-varying, which is the same here.
-    varying: Topology,
-}
-
 impl<'a> Curves<'a> {
     /// The curves of `prim` with those of the primvars called `names` that it or (constant) `inherited` prims author.
     /// `None`, with a warning, where nothing can be drawn.
@@ -106,15 +95,15 @@ impl<'a> Curves<'a> {
                 counts.len()
             ));
         }
-        let layouts = Layouts::of(counts, points.len(), varying_total);
+        let layouts = Layouts::of(counts.len(), points.len(), varying_total);
         let bounds = Bounds3::around(points.iter().copied());
         let normals = layouts.read(prim, "normals", diagnostics);
         Some(Self {
             points,
             form,
             curves,
-            widths: widths(prim, &layouts, diagnostics),
-            primvars: read_primvars(prim, inherited, names, (&layouts, diagnostics)),
+            widths: layouts.widths(prim, "curves", diagnostics),
+            primvars: layouts.primvars(prim, inherited, names, diagnostics),
             double_sided: boolean(prim, "doubleSided", normals.is_some()),
             normals,
             type_name: prim.type_name.clone(),
@@ -371,103 +360,6 @@ fn split(counts: &[i32], form: Form) -> (Vec<Curve>, usize) {
         first_varying += segments.map_or(0, |segments| form.varying_count(segments));
     }
     (curves, first_varying)
-}
-
-impl Layouts {
-    fn of(counts: &[i32], point_count: usize, varying_count: usize) -> Self {
-        let topology = |elements: usize| Topology {
-            point_count: elements,
-            counts: vec![1; counts.len()],
-            indices: vec![0; elements],
-            offsets: Vec::new(),
-            is_drawn: Vec::new(),
-        };
-        Self {
-            vertex: topology(point_count),
-            varying: topology(varying_count),
-        }
-    }
-
-    fn topology(&self, interpolation: Option<&str>) -> &Topology {
-        match interpolation {
-            Some("varying" | "faceVarying") => &self.varying,
-            _ => &self.vertex,
-        }
-    }
-
-    /// `primvars:NAME`, else the attribute NAME, which is of vertex interpolation unless it says otherwise.
-    fn read(
-        &self,
-        prim: &RawPrim,
-        name: &str,
-        diagnostics: &Diagnostics,
-    ) -> Option<AuthoredPrimvar> {
-        let primvar = format!("primvars:{name}");
-        let is_authored = |name: &str| {
-            let attribute = prim.attributes.get(name);
-            attribute.filter(|attribute| attribute.value.is_some())
-        };
-        if let Some(attribute) = is_authored(&primvar) {
-            let topology = self.topology(attribute.interpolation.as_deref());
-            return AuthoredPrimvar::read(prim, name, topology, diagnostics);
-        }
-        let attribute = is_authored(name)?;
-        let interpolation = attribute.interpolation.as_deref().or(Some("vertex"));
-        let read = self.attribute(attribute, interpolation);
-        let read = read.map_err(|flaw| {
-            let message = format!("{name} is ignored: {flaw}");
-            diagnostics.warn("bad-primvar", prim.path.clone(), message);
-        });
-        read.ok()
-    }
-
-    fn attribute(
-        &self,
-        attribute: &RawAttribute,
-        interpolation: Option<&str>,
-    ) -> Result<AuthoredPrimvar, String> {
-        let mut read =
-            read_attribute(attribute, None, interpolation, self.topology(interpolation))?;
-        match read.values.iter().find(|value| !value.is_finite()) {
-            Some(value) => Err(format!("{value} is not finite")),
-            None => {
-                read.values.shrink_to_fit();
-                Ok(read)
-            }
-        }
-    }
-}
-
-fn widths(prim: &RawPrim, layouts: &Layouts, diagnostics: &Diagnostics) -> Option<AuthoredPrimvar> {
-    let widths = layouts.read(prim, "widths", diagnostics);
-    if widths.is_none() {
-        diagnostics.warn(
-            "curve-widths",
-            prim.path.clone(),
-            format!("there are no widths that could be used: the curves are {DEFAULT_WIDTH} wide"),
-        );
-    }
-    widths
-}
-
-fn read_primvars(
-    prim: &RawPrim,
-    inherited: &[(String, &RawPrim)],
-    names: &[String],
-    (layouts, diagnostics): (&Layouts, &Diagnostics),
-) -> Vec<AuthoredPrimvar> {
-    let read = |owner: &RawPrim, name: &String| {
-        let attribute = owner.attributes.get(&format!("primvars:{name}"))?;
-        let topology = layouts.topology(attribute.interpolation.as_deref());
-        AuthoredPrimvar::read(owner, name, topology, diagnostics)
-    };
-    let found = names.iter().filter_map(|name| {
-        read(prim, name).or_else(|| {
-            let (_, owner) = inherited.iter().find(|(inherited, _)| inherited == name)?;
-            read(owner, name)
-        })
-    });
-    found.collect()
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts of pieces")]

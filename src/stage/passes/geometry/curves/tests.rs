@@ -243,7 +243,7 @@ fn what_cannot_be_drawn_is_told() {
     );
     assert_eq!(
         told(curves(LINEAR, &[5], &points)),
-        (true, vec!["curve-widths".to_owned()])
+        (true, vec!["default-widths".to_owned()])
     );
     assert_eq!(
         told(curves(LINEAR, &[], &[])),
