@@ -1,5 +1,7 @@
 //! Files → their bytes. Large ones are mapped, so that what is not looked at is neither read nor copied.
 
+pub(crate) mod package;
+
 use memmap2::Mmap;
 use std::fs::File;
 use std::io::{self, Read};

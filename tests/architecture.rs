@@ -13,7 +13,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("surfels", &["math"]),
     ("results", &["math", "scene"]),
     // tools
-    ("image", &["math", "diagnostics", "scene"]),
+    ("image", &["math", "diagnostics", "files", "scene"]),
     ("trace", &["math", "scene"]),
     (
         "shading",

@@ -1,7 +1,8 @@
 //! An image file → 8-bit codes, for files of other formats.
 
+use super::Error;
 use super::decode::{self, Samples};
-use super::{Error, package};
+use crate::files::package;
 use crate::math::srgb;
 use crate::scene::ColorSpace;
 use image::codecs::png::PngEncoder;

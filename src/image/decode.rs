@@ -1,6 +1,7 @@
 //! Bytes of an image file → pixels.
 
-use super::{Error, exr_file, package};
+use super::{Error, exr_file};
+use crate::files::package;
 use half::f16;
 use image::{DynamicImage, ImageFormat, ImageReader, Limits};
 use std::io::Cursor;

@@ -8,7 +8,6 @@ mod decode;
 mod exr_file;
 mod latlong;
 mod lookup;
-mod package;
 mod probe;
 mod pyramid;
 mod texture;

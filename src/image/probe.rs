@@ -1,6 +1,7 @@
 //! What an image file is, by its header: no pixel is decoded.
 
-use super::{Error, exr_file, package};
+use super::{Error, exr_file};
+use crate::files::package;
 use image::{ImageFormat, ImageReader};
 use std::io::{BufRead, BufReader, Cursor, Read, Seek};
 use std::path::{Path, PathBuf};

@@ -1,6 +1,7 @@
 //! A texture as a material names it: one image, or a UDIM set of them.
 
-use super::{Error, Image, package};
+use super::{Error, Image};
+use crate::files::package;
 use crate::scene::{ColorSpace, Wrap};
 use glam::{Mat2, Vec2, Vec4};
 use rayon::prelude::*;
@@ -101,8 +102,8 @@ impl Texture {
 
 #[cfg(test)]
 mod tests {
-    use super::super::package::tests::stored_zip;
     use super::*;
+    use crate::files::package::tests::stored_zip;
 
     fn load(path: &Path) -> Image {
         Image::load(path, ColorSpace::Auto).unwrap()

@@ -1,6 +1,7 @@
 //! A MaterialX document (specification 1.38 and 1.39) → prims as USD's plug-in makes them: a material with its surface
 //! shader, and the node graphs and nodes that feed it, below.
 
+use crate::files::package;
 use crate::stage::raw::{RawAttribute, RawPrim, Value};
 use glam::{DVec2, DVec3, DVec4};
 use roxmltree::Node;
@@ -23,8 +24,8 @@ const NOT_NODES: [&str; 9] = [
 /// A parsed document.
 pub(super) struct Document<'a> {
     xml: roxmltree::Document<'a>,
-    /// Relative file names start here.
-    folder: &'a Path,
+    /// Relative file names start beside it.
+    file: &'a Path,
 }
 
 impl<'a> Document<'a> {
@@ -37,8 +38,7 @@ impl<'a> Document<'a> {
         if !xml.root_element().has_tag_name("materialx") {
             return Err("it is no MaterialX document".to_owned());
         }
-        let folder = file.parent().unwrap_or(Path::new(""));
-        Ok(Self { xml, folder })
+        Ok(Self { xml, file })
     }
 
     /// All materials below `scope`.
@@ -220,12 +220,8 @@ impl<'d> Network<'d, '_> {
     fn file(&self, input: Node<'_, '_>, text: &str) -> Value {
         let prefix = inherited(input, "fileprefix").unwrap_or("");
         let authored = format!("{prefix}{text}").replace("<udim>", "<UDIM>");
-        let resolved = self
-            .document
-            .folder
-            .join(&authored)
-            .to_string_lossy()
-            .into_owned();
+        let file = package::beside(self.document.file, &authored);
+        let resolved = file.to_string_lossy().into_owned();
         Value::Asset { authored, resolved }
     }
 }

@@ -6,6 +6,7 @@ mod document;
 
 use super::raw::{MaterialxReference, RawPrim, RawStage};
 use crate::diagnostics::Diagnostics;
+use crate::files::package;
 use document::Document;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -64,7 +65,9 @@ fn read(reference: &MaterialxReference, prim: &str, diagnostics: &Diagnostics) -
         Ok(size) if size > LARGEST_DOCUMENT => {
             Err(format!("{size} bytes are more than {LARGEST_DOCUMENT}"))
         }
-        _ => std::fs::read_to_string(&reference.file).map_err(|error| error.to_string()),
+        _ => package::read(&reference.file)
+            .map_err(|error| error.to_string())
+            .and_then(|bytes| String::from_utf8(bytes).map_err(|error| error.to_string())),
     };
     text.map_err(|message| warn(reference, prim, &message, diagnostics))
         .ok()

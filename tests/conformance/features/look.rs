@@ -469,3 +469,44 @@ fn packages_hold_layers_and_textures() {
         }
     }
 }
+
+#[test]
+fn materialx_documents_and_their_images_inside_packages() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let package = folder.path().join("p.usdz");
+    let mut writer = openusd::usdz::ArchiveWriter::create(&package).expect("a package");
+    let root = format!(
+        "#usda 1.0\ndef Scope \"L\" ( references = @./looks/look.mtlx@</MaterialX> ) {{ }}\n{}",
+        mesh("m", 0.5)
+            .replace(
+                "def Mesh \"m\"",
+                "def Mesh \"m\" ( apiSchemas = [\"MaterialBindingAPI\"] )"
+            )
+            .replacen('{', "{\nrel material:binding = </L/Materials/paint>\n", 1)
+    );
+    let look = r#"<?xml version="1.0"?><materialx version="1.38">
+        <nodegraph name="g"><image name="i" type="color3"><input name="file" type="filename" value="../tex/a.png"/></image>
+            <output name="out" type="color3" nodename="i"/></nodegraph>
+        <standard_surface name="s" type="surfaceshader"><input name="base_color" type="color3" nodegraph="g" output="out"/></standard_surface>
+        <surfacematerial name="paint" type="material"><input name="surfaceshader" type="surfaceshader" nodename="s"/></surfacematerial>
+    </materialx>"#;
+    for (name, bytes) in [
+        ("root.usda", root.as_bytes()),
+        ("looks/look.mtlx", look.as_bytes()),
+        ("tex/a.png", b"png"),
+    ] {
+        writer.add_layer(name, bytes).expect("an entry");
+    }
+    writer.finish().expect("a package");
+    for door in [Door::UsdCore, Door::Native] {
+        let (scene, warnings) = scene_of(&package, door, &Reading::default()).expect("read");
+        let images: Vec<_> = (scene.materials.iter())
+            .filter_map(|material| match &material.diffuse_color {
+                Input::Texture(read) => Some(read.file.clone()),
+                _ => None,
+            })
+            .collect();
+        let inside = format!("{}[tex/a.png]", package.display());
+        assert_eq!(images, [Path::new(&inside)], "{door:?} {warnings:?}");
+    }
+}

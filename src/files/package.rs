@@ -3,7 +3,7 @@
 
 use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 
 /// Size of a zip end record without its comment, bytes; the comment is at most 65535 bytes.
 const END_RECORD: usize = 22;
@@ -15,22 +15,43 @@ const ENTRY_HEADER: usize = 46;
 const LOCAL_HEADER: usize = 30;
 
 /// The package and the path inside it, if `path` names something in a package.
-pub(super) fn split(path: &str) -> Option<(&str, &str)> {
+pub(crate) fn split(path: &str) -> Option<(&str, &str)> {
     let (package, inner) = path.strip_suffix(']')?.split_once('[')?;
     let is_package = package.to_ascii_lowercase().ends_with(".usdz");
     is_package.then_some((package, inner))
 }
 
 /// All bytes of the file at `path`.
-pub(super) fn read(path: &Path) -> io::Result<Vec<u8>> {
+pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
     match path.to_str().and_then(split) {
         None => std::fs::read(path),
         Some((package, inner)) => read_inside(&mut File::open(package)?, inner),
     }
 }
 
+/// The path of the file that `relative` names beside `path`; in a package within it, where that leads to no folder outside.
+pub(crate) fn beside(path: &Path, relative: &str) -> PathBuf {
+    let folder = |path: &Path| path.parent().unwrap_or(Path::new("")).to_owned();
+    let Some((package, inner)) = path.to_str().and_then(split) else {
+        return folder(path).join(relative);
+    };
+    let mut steps: Vec<Component<'_>> = Vec::new();
+    let from = folder(Path::new(inner));
+    for step in from.components().chain(Path::new(relative).components()) {
+        match step {
+            Component::CurDir => {}
+            Component::ParentDir if !steps.is_empty() => {
+                steps.pop();
+            }
+            step => steps.push(step),
+        }
+    }
+    let inner: PathBuf = steps.into_iter().collect();
+    PathBuf::from(format!("{package}[{}]", inner.display()))
+}
+
 /// True if the file at `path` exists.
-pub(super) fn exists(path: &Path) -> bool {
+pub(crate) fn exists(path: &Path) -> bool {
     match path.to_str().and_then(split) {
         None => path.is_file(),
         Some((package, inner)) => File::open(package).is_ok_and(|mut package| {
@@ -133,12 +154,12 @@ fn u32_at(bytes: &[u8], at: usize) -> u32 {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
     use std::io::Write;
 
     /// A stored zip, written from the format's description.
-    pub(in crate::image) fn stored_zip(files: &[(&str, &[u8])]) -> Vec<u8> {
+    pub(crate) fn stored_zip(files: &[(&str, &[u8])]) -> Vec<u8> {
         let (mut body, mut directory) = (Vec::new(), Vec::new());
         for (name, bytes) in files {
             let size = u32::try_from(bytes.len()).unwrap().to_le_bytes();
