@@ -23,7 +23,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "lighting",
         &["math", "diagnostics", "scene", "image", "shading", "trace"],
     ),
-    ("displacement", &["diagnostics", "scene", "shading"]),
+    (
+        "displacement",
+        &["diagnostics", "scene", "shading", "trace"],
+    ),
     // steps
     (
         "stage",
@@ -148,6 +151,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "image",
             "shading",
             "lighting",
+            "displacement",
             "trace",
             "stage",
             "bake",

@@ -1,18 +1,21 @@
-//! Bytes of a file, on disk or inside a `.usdz` package (a zip archive whose entries are stored without compression),
-//! possibly nested: `a.usdz[b.usdz[c.png]]`.
+//! `.usdz` packages: zip archives whose files are stored, not compressed; and paths into them, possibly nested:
+//! `a.usdz[b.usdz[c.png]]`.
+//!
+//! Zip layout: APPNOTE.TXT 6.3, sections 4.3.7 (local header), 4.3.12 (central directory), 4.3.16 (its end).
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::{Component, Path, PathBuf};
 
-/// Size of a zip end record without its comment, bytes; the comment is at most 65535 bytes.
-const END_RECORD: usize = 22;
-const MAX_COMMENT: u64 = 65_535;
 const END_SIGNATURE: [u8; 4] = *b"PK\x05\x06";
 const ENTRY_SIGNATURE: [u8; 4] = *b"PK\x01\x02";
 const LOCAL_SIGNATURE: [u8; 4] = *b"PK\x03\x04";
-const ENTRY_HEADER: usize = 46;
-const LOCAL_HEADER: usize = 30;
+const END_BYTES: usize = 22;
+const ENTRY_BYTES: usize = 46;
+const LOCAL_BYTES: usize = 30;
+/// A comment of at most 65535 bytes follows the end record.
+const LONGEST_COMMENT: usize = 65_535;
 
 /// The package and the path inside it, if `path` names something in a package.
 pub(crate) fn split(path: &str) -> Option<(&str, &str)> {
@@ -21,11 +24,35 @@ pub(crate) fn split(path: &str) -> Option<(&str, &str)> {
     is_package.then_some((package, inner))
 }
 
-/// All bytes of the file at `path`.
+/// All bytes of the file at `path`, which may be inside a package.
+///
+/// # Errors
+/// What the system says, and those of [`Package::open`] and [`Package::read`].
 pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
     match path.to_str().and_then(split) {
         None => std::fs::read(path),
-        Some((package, inner)) => read_inside(&mut File::open(package)?, inner),
+        Some((package, inner)) => read_inside(&Package::open(Path::new(package))?, inner),
+    }
+}
+
+fn read_inside(package: &Package, inner: &str) -> io::Result<Vec<u8>> {
+    match split(inner) {
+        None => package.read(inner),
+        Some((outer, inner)) => {
+            let nested = Package::of(Home::Memory(package.read(outer)?))?;
+            read_inside(&nested, inner)
+        }
+    }
+}
+
+/// True if the file at `path` exists.
+pub(crate) fn exists(path: &Path) -> bool {
+    match path.to_str().and_then(split) {
+        None => path.is_file(),
+        Some((package, inner)) => {
+            let name = split(inner).map_or(inner, |(outer, _)| outer);
+            Package::open(Path::new(package)).is_ok_and(|package| package.has(name))
+        }
     }
 }
 
@@ -50,99 +77,160 @@ pub(crate) fn beside(path: &Path, relative: &str) -> PathBuf {
     PathBuf::from(format!("{package}[{}]", inner.display()))
 }
 
-/// True if the file at `path` exists.
-pub(crate) fn exists(path: &Path) -> bool {
-    match path.to_str().and_then(split) {
-        None => path.is_file(),
-        Some((package, inner)) => File::open(package).is_ok_and(|mut package| {
-            let name = split(inner).map_or(inner, |(outer, _)| outer);
-            find(&mut package, name).is_ok()
-        }),
-    }
+/// An open package.
+#[derive(Debug)]
+pub(crate) struct Package {
+    home: Home,
+    entries: BTreeMap<String, Entry>,
+    first_layer: Option<String>,
 }
 
-fn read_inside(package: &mut (impl Read + Seek), inner: &str) -> io::Result<Vec<u8>> {
-    match split(inner) {
-        None => read_entry(package, inner),
-        Some((outer, inner)) => {
-            let nested = read_entry(package, outer)?;
-            read_inside(&mut Cursor::new(nested), inner)
+/// Where a package's bytes are.
+#[derive(Debug)]
+enum Home {
+    File(PathBuf),
+    Memory(Vec<u8>),
+}
+
+impl Home {
+    /// The bytes from `start` on.
+    fn read(&self, start: u64, count: u64) -> io::Result<Vec<u8>> {
+        match self {
+            Self::File(path) => read_at(&mut File::open(path)?, start, count),
+            Self::Memory(bytes) => read_at(&mut Cursor::new(bytes), start, count),
+        }
+    }
+
+    fn length(&self) -> io::Result<u64> {
+        match self {
+            Self::File(path) => Ok(std::fs::metadata(path)?.len()),
+            Self::Memory(bytes) => Ok(bytes.len() as u64),
         }
     }
 }
 
-fn invalid(message: String) -> io::Error {
-    io::Error::new(io::ErrorKind::InvalidData, message)
-}
-
-/// Where an entry's local header is, and how many bytes are stored.
+#[derive(Debug, Clone, Copy)]
 struct Entry {
-    offset: u64,
-    size: u64,
+    method: u16,
+    size: u32,
+    header: u32,
 }
 
-fn read_entry(package: &mut (impl Read + Seek), name: &str) -> io::Result<Vec<u8>> {
-    let entry = find(package, name)?;
-    package.seek(SeekFrom::Start(entry.offset))?;
-    let mut header = [0; LOCAL_HEADER];
-    package.read_exact(&mut header)?;
-    if header[..4] != LOCAL_SIGNATURE {
-        return Err(invalid(format!("package is damaged at `{name}`")));
+impl Package {
+    /// Read the directory of the package at `path`.
+    ///
+    /// # Errors
+    /// When it cannot be read or is not a zip archive.
+    pub(crate) fn open(path: &Path) -> io::Result<Self> {
+        Self::of(Home::File(path.to_owned()))
     }
-    let skip = i64::from(u16_at(&header, 26)) + i64::from(u16_at(&header, 28));
-    package.seek(SeekFrom::Current(skip))?;
-    let mut bytes = Vec::new();
-    package.take(entry.size).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 == entry.size {
-        Ok(bytes)
-    } else {
-        Err(invalid(format!("package ends within `{name}`")))
-    }
-}
 
-/// Look `name` up in the central directory.
-fn find(package: &mut (impl Read + Seek), name: &str) -> io::Result<Entry> {
-    let directory = directory(package)?;
-    let mut at = 0;
-    while let Some(header) = directory.get(at..at + ENTRY_HEADER) {
-        if header[..4] != ENTRY_SIGNATURE {
-            break;
+    fn of(home: Home) -> io::Result<Self> {
+        let length = home.length()?;
+        let tail = length.min((END_BYTES + LONGEST_COMMENT) as u64);
+        let bytes = home.read(length - tail, tail)?;
+        let end = bytes
+            .windows(END_BYTES)
+            .rposition(|window| window[..4] == END_SIGNATURE)
+            .ok_or_else(|| damaged("no zip directory"))?;
+        let end = &bytes[end..];
+        let (count, size, start) = (u16_at(end, 10), u32_at(end, 12), u32_at(end, 16));
+        let directory = home.read(u64::from(start), u64::from(size))?;
+        let (entries, first_layer) = entries(&directory, usize::from(count))?;
+        Ok(Self {
+            home,
+            entries,
+            first_layer,
+        })
+    }
+
+    /// True if the package holds the file `name`.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.entries.contains_key(name)
+    }
+
+    /// All file names, sorted.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.entries.keys().map(String::as_str)
+    }
+
+    /// The first USD layer: the package's root layer.
+    pub(crate) fn first_layer(&self) -> Option<&str> {
+        self.first_layer.as_deref()
+    }
+
+    /// The bytes of the file `name`.
+    ///
+    /// # Errors
+    /// When there is no such file, it is compressed (USDZ forbids it, and so does Pixar's reader), or it is cut off.
+    pub(crate) fn read(&self, name: &str) -> io::Result<Vec<u8>> {
+        let entry = self.entries.get(name).ok_or_else(|| {
+            let message = format!("no file {name} in the package");
+            io::Error::new(io::ErrorKind::NotFound, message)
+        })?;
+        if entry.method != 0 {
+            return Err(damaged(&format!(
+                "{name} is compressed, but files in a usdz must be stored"
+            )));
         }
-        let length = usize::from(u16_at(header, 28));
-        let start = at + ENTRY_HEADER;
-        if directory.get(start..start + length) == Some(name.as_bytes()) {
-            if u16_at(header, 10) != 0 {
-                return Err(invalid(format!(
-                    "`{name}` is compressed, which usdz does not allow"
-                )));
-            }
-            return Ok(Entry {
-                offset: u64::from(u32_at(header, 42)),
-                size: u64::from(u32_at(header, 20)),
-            });
+        let start = u64::from(entry.header);
+        let header = self.home.read(start, LOCAL_BYTES as u64)?;
+        if header[..4] != LOCAL_SIGNATURE {
+            return Err(damaged(&format!("{name} has no header")));
         }
-        at = start + length + usize::from(u16_at(header, 30)) + usize::from(u16_at(header, 32));
+        let skip =
+            LOCAL_BYTES as u64 + u64::from(u16_at(&header, 26)) + u64::from(u16_at(&header, 28));
+        self.home.read(start + skip, u64::from(entry.size))
     }
-    let message = format!("package has no file `{name}`");
-    Err(io::Error::new(io::ErrorKind::NotFound, message))
 }
 
-/// The central directory, found through the end record at the end of the archive.
-fn directory(package: &mut (impl Read + Seek)) -> io::Result<Vec<u8>> {
-    let length = package.seek(SeekFrom::End(0))?;
-    let tail = length.min(END_RECORD as u64 + MAX_COMMENT);
-    package.seek(SeekFrom::Start(length - tail))?;
+fn entries(
+    directory: &[u8],
+    count: usize,
+) -> io::Result<(BTreeMap<String, Entry>, Option<String>)> {
+    let mut entries = BTreeMap::new();
+    let mut first_layer = None;
+    let mut rest = directory;
+    for _ in 0..count {
+        if rest.len() < ENTRY_BYTES || rest[..4] != ENTRY_SIGNATURE {
+            return Err(damaged("the zip directory is cut off"));
+        }
+        let name_length = usize::from(u16_at(rest, 28));
+        let more = usize::from(u16_at(rest, 30)) + usize::from(u16_at(rest, 32));
+        let name = rest
+            .get(ENTRY_BYTES..ENTRY_BYTES + name_length)
+            .and_then(|name| std::str::from_utf8(name).ok())
+            .ok_or_else(|| damaged("the zip directory has a bad file name"))?;
+        if first_layer.is_none()
+            && [".usd", ".usda", ".usdc"]
+                .iter()
+                .any(|end| name.ends_with(end))
+        {
+            first_layer = Some(name.to_owned());
+        }
+        let entry = Entry {
+            method: u16_at(rest, 10),
+            size: u32_at(rest, 24),
+            header: u32_at(rest, 42),
+        };
+        entries.insert(name.to_owned(), entry);
+        rest = rest
+            .get(ENTRY_BYTES + name_length + more..)
+            .unwrap_or_default();
+    }
+    Ok((entries, first_layer))
+}
+
+/// So many bytes from `start` on; an error where there are fewer.
+fn read_at(source: &mut (impl Read + Seek), start: u64, count: u64) -> io::Result<Vec<u8>> {
+    let length = source.seek(SeekFrom::End(0))?;
+    if start.checked_add(count).is_none_or(|end| end > length) {
+        return Err(damaged("the package is cut off"));
+    }
+    source.seek(SeekFrom::Start(start))?;
     let mut bytes = Vec::new();
-    package.take(tail).read_to_end(&mut bytes)?;
-    let end = (bytes.windows(END_RECORD))
-        .rev()
-        .find(|record| record[..4] == END_SIGNATURE)
-        .ok_or_else(|| invalid("not a usdz package".to_owned()))?;
-    let (size, offset) = (u64::from(u32_at(end, 12)), u64::from(u32_at(end, 16)));
-    package.seek(SeekFrom::Start(offset))?;
-    let mut directory = Vec::new();
-    package.take(size).read_to_end(&mut directory)?;
-    Ok(directory)
+    source.take(count).read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 fn u16_at(bytes: &[u8], at: usize) -> u16 {
@@ -151,6 +239,10 @@ fn u16_at(bytes: &[u8], at: usize) -> u16 {
 
 fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+}
+
+fn damaged(message: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, message.to_owned())
 }
 
 #[cfg(test)]
@@ -237,16 +329,58 @@ pub(crate) mod tests {
     #[test]
     fn damaged_packages_are_errors() {
         let good = stored_zip(&[("a.png", b"0123456789")]);
+        let read = |bytes: &[u8]| Package::of(Home::Memory(bytes.to_vec()))?.read("a.png");
         for cut in 0..good.len() {
-            assert!(
-                read_entry(&mut Cursor::new(&good[..cut]), "a.png").is_err(),
-                "{cut}"
-            );
+            assert!(read(&good[..cut]).is_err(), "{cut}");
         }
         for at in 0..good.len() {
             let mut bad = good.clone();
             bad[at] = !bad[at];
-            let _ = read_entry(&mut Cursor::new(&bad), "a.png");
+            let _ = read(&bad);
+        }
+    }
+
+    #[test]
+    fn what_lies_beside_a_file_in_a_package_is_in_it() {
+        let of =
+            |path: &str, relative: &str| beside(Path::new(path), relative).display().to_string();
+        assert_eq!(of("/a/b.mtlx", "c/d.png"), "/a/c/d.png");
+        assert_eq!(of("/a/p.usdz[b.mtlx]", "./d.png"), "/a/p.usdz[d.png]");
+        assert_eq!(
+            of("/a/p.usdz[b/c.mtlx]", "../t/d.png"),
+            "/a/p.usdz[t/d.png]"
+        );
+    }
+
+    fn written(folder: &Path) -> PathBuf {
+        let path = folder.join("p.usdz");
+        let files: [(&str, &[u8]); 2] =
+            [("root.usda", b"#usda 1.0\n"), ("tex/a.png", b"not really")];
+        std::fs::write(&path, stored_zip(&files)).unwrap();
+        path
+    }
+
+    #[test]
+    fn files_of_packages_come_back_as_they_were_stored() {
+        let folder = tempfile::tempdir().unwrap();
+        let package = Package::open(&written(folder.path())).unwrap();
+        assert_eq!(package.first_layer(), Some("root.usda"));
+        assert_eq!(package.read("tex/a.png").unwrap(), b"not really");
+        assert!(package.has("root.usda") && !package.has("other"));
+    }
+
+    #[test]
+    fn every_truncation_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let bytes = std::fs::read(written(folder.path())).unwrap();
+        let cut = folder.path().join("cut.usdz");
+        for length in 0..bytes.len() {
+            std::fs::write(&cut, &bytes[..length]).unwrap();
+            assert!(
+                Package::open(&cut).is_err(),
+                "{length} bytes of {}",
+                bytes.len()
+            );
         }
     }
 }

@@ -19,7 +19,6 @@ mod layer_assets;
 mod layer_files;
 mod list_ops;
 mod long_arrays;
-mod package;
 mod properties;
 mod pulse;
 mod session;
