@@ -67,7 +67,7 @@ fn picture(path: &Path) -> image::RgbImage {
     image::open(path).expect("a PNG").to_rgb8()
 }
 
-/// Chromium, or a reason not to go on.
+/// What Chromium prints once `page` has loaded, which is when it is drawn; nothing where there is no Chromium.
 #[expect(clippy::print_stderr, reason = "a skipped test says so")]
 fn browse(page: &Path, fragment: &str, more: &[String]) -> Option<String> {
     let names = ["chromium", "chromium-browser", "google-chrome"];
@@ -81,7 +81,6 @@ fn browse(page: &Path, fragment: &str, more: &[String]) -> Option<String> {
                 "--enable-unsafe-swiftshader",
                 "--hide-scrollbars",
                 "--window-size=800,600",
-                "--virtual-time-budget=30000",
             ])
             .args(more)
             .arg(&url)

@@ -5,13 +5,11 @@ use super::frames::Frames;
 use super::log_sink::{self, LogSettings};
 use crate::diagnostics::{Diagnostics, Silent};
 use crate::recipes::{self, RecipeError, RunRecipeJob, State, TaskReport};
+use crate::stage::worker;
 use anyhow::Context;
 use clap::Args;
 use std::io::Write;
 use std::path::PathBuf;
-
-/// The interpreter of scripts, if nothing else is asked for: that of USD.
-const PYTHON: &str = "SURFLUX_USD_PYTHON";
 
 /// What `run` is told.
 #[derive(Debug, Args)]
@@ -136,7 +134,7 @@ fn job(args: RunArgs) -> anyhow::Result<RunRecipeJob> {
             threads
         },
         program,
-        python: std::env::var_os(PYTHON).map_or_else(|| "python3".into(), PathBuf::from),
+        python: worker::python(),
     })
 }
 

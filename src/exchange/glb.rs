@@ -1,12 +1,13 @@
 //! A scene → GLB for engines: positions, normals, vertex colors, texture coordinates, materials with their textures.
 //!
-//! Meshes that several prims show are shared. `displayColor` becomes `COLOR_0` where no texture stands for the color, `st`
-//! `TEXCOORD_0` with v turned over. A root node turns +Z up to +Y up and units to meters. What GLB has here is what surfaces
-//! reflect: lights, cameras and animation are left out, with a warning.
+//! Meshes that several prims show are shared. `displayColor` becomes `COLOR_0` where no texture stands for the color;
+//! coordinates that textures read, and `st`, `TEXCOORD_0`, `TEXCOORD_1` … with v turned over. A root node turns +Z up to
+//! +Y up and units to meters. What GLB has here is what surfaces reflect: lights, cameras and animation are left out, with a
+//! warning.
 
 mod textures;
 
-use self::textures::{COORDINATES, Maps, Textures, factor, read_of};
+use self::textures::{COORDINATES, Maps, SETS, Textures, coordinates_of, factor, read_of};
 use super::Error;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{
@@ -104,10 +105,11 @@ struct Part {
     positions: Vec<Vec3>,
     normals: Vec<Vec3>,
     colors: Vec<Vec4>,
-    coordinates: Vec<Vec2>,
+    /// Of each set.
+    coordinates: [Vec<Vec2>; SETS],
     indices: Vec<u32>,
     /// Vertex with these values.
-    known: HashMap<[u32; 11], u32>,
+    known: HashMap<[u32; 9 + 2 * SETS], u32>,
 }
 
 impl File<'_> {
@@ -152,14 +154,16 @@ impl File<'_> {
     /// Write `mesh` as `prim` shows it, its points moved by `place`; returns its index.
     fn mesh(&mut self, mesh: &Mesh, prim: &Prim, place: Affine3A) -> usize {
         let colors = mesh.primvar("displayColor");
-        let coordinates = mesh.primvar(COORDINATES).filter(|st| st.components == 2);
         let mut parts: BTreeMap<Option<MaterialId>, Part> = BTreeMap::new();
         let turned = normal_matrix(place);
         let flips = place.matrix3.determinant() < 0.0;
+        let mut sets_of: BTreeMap<Option<MaterialId>, Vec<Option<&Primvar>>> = BTreeMap::new();
         for t in 0..mesh.triangles.len() {
-            let part = parts
-                .entry(prim.materials.of_face(mesh.triangle_faces[t]))
-                .or_default();
+            let material = prim.materials.of_face(mesh.triangle_faces[t]);
+            let part = parts.entry(material).or_default();
+            let sets = sets_of
+                .entry(material)
+                .or_insert_with(|| self.coordinates(mesh, material));
             let normals = mesh
                 .corner_normals(t)
                 .unwrap_or_else(|| [mesh.plane_normal(t); 3]);
@@ -167,12 +171,15 @@ impl File<'_> {
             for k in order {
                 let position = mesh.positions[mesh.triangles[t][k] as usize];
                 let color = colors.map(|colors| at(colors, mesh, t, k));
-                let st = coordinates.map(|st| at(st, mesh, t, k));
+                let coordinates = sets.iter().map(|set| {
+                    let st = set.map_or(Vec4::ZERO, |set| at(set, mesh, t, k));
+                    Vec2::new(st.x, 1.0 - st.y)
+                });
                 part.push(
                     place.transform_point3(position),
                     (turned * normals[k]).normalize_or_zero(),
                     color,
-                    st.map(|st| Vec2::new(st.x, 1.0 - st.y)),
+                    coordinates,
                 );
             }
         }
@@ -187,6 +194,23 @@ impl File<'_> {
         self.meshes
             .push(json!({ "name": name, "primitives": primitives }));
         self.meshes.len() - 1
+    }
+
+    /// The primvar of each set of coordinates of what is made of `material`: what it reads (`None` where `mesh` has none,
+    /// and readers see their fallback, 0), and `st` where there is one.
+    fn coordinates<'m>(
+        &self,
+        mesh: &'m Mesh,
+        material: Option<MaterialId>,
+    ) -> Vec<Option<&'m Primvar>> {
+        let material = material.map(|id| &self.scene.materials[id.index()]);
+        let names = material.map(coordinates_of).unwrap_or_default();
+        let mut sets: Vec<_> = names.iter().map(|name| coordinates(mesh, name)).collect();
+        let more = coordinates(mesh, COORDINATES).filter(|_| !names.contains(&COORDINATES));
+        if more.is_some() && sets.len() < SETS {
+            sets.push(more);
+        }
+        sets
     }
 
     fn primitive(
@@ -212,22 +236,21 @@ impl File<'_> {
         self.accessors[position]["max"] = json!(high.to_array());
         let normal = self.accessor(part.normals.iter().flat_map(|n| n.to_array()), "VEC3", 3);
         let mut attributes = json!({ "POSITION": position, "NORMAL": normal });
-        let is_textured = !part.coordinates.is_empty()
-            && material.is_some_and(|id| {
-                read_of(&self.scene.materials[id.index()].diffuse_color).is_some()
-            });
+        let mesh = self.scene.mesh_of(prim);
+        let is_textured = material.is_some_and(|id| {
+            read_of(&self.scene.materials[id.index()].diffuse_color)
+                .is_some_and(|read| coordinates(mesh, &read.uv.primvar).is_some())
+        });
         let has_colors = has_colors && !is_textured;
         if has_colors {
             let color = self.accessor(part.colors.iter().flat_map(|c| c.to_array()), "VEC4", 4);
             attributes["COLOR_0"] = json!(color);
         }
-        if !part.coordinates.is_empty() {
-            let st = self.accessor(
-                part.coordinates.iter().flat_map(|c| c.to_array()),
-                "VEC2",
-                2,
-            );
-            attributes["TEXCOORD_0"] = json!(st);
+        for (k, set) in part.coordinates.iter().enumerate() {
+            if !set.is_empty() {
+                let set = self.accessor(set.iter().flat_map(|c| c.to_array()), "VEC2", 2);
+                attributes[format!("TEXCOORD_{k}")] = json!(set);
+            }
         }
         let start = self.bytes.len();
         self.bytes
@@ -468,14 +491,19 @@ fn blend(value: &mut Value, material: &Material, (has_alpha, opacity): (bool, f3
 }
 
 impl Part {
-    fn push(&mut self, position: Vec3, normal: Vec3, color: Option<Vec4>, st: Option<Vec2>) {
+    fn push(
+        &mut self,
+        position: Vec3,
+        normal: Vec3,
+        color: Option<Vec4>,
+        coordinates: impl Iterator<Item = Vec2> + Clone,
+    ) {
         let shown = color.unwrap_or(Vec4::ONE);
-        let place = st.unwrap_or(Vec2::ZERO);
-        let mut key = [0; 11];
+        let mut key = [0; 9 + 2 * SETS];
         let values = position.to_array().into_iter().chain(normal.to_array());
         let values = values
             .chain(shown.truncate().to_array())
-            .chain(place.to_array());
+            .chain(coordinates.clone().flat_map(|place| place.to_array()));
         for (key, value) in key.iter_mut().zip(values) {
             *key = value.to_bits();
         }
@@ -486,10 +514,17 @@ impl Part {
             self.normals.push(normal);
             self.colors
                 .push(shown.truncate().max(Vec3::ZERO).extend(1.0));
-            self.coordinates.extend(st);
+            for (set, place) in self.coordinates.iter_mut().zip(coordinates) {
+                set.push(place);
+            }
         }
         self.indices.push(index);
     }
+}
+
+/// The primvar `name` of `mesh`, if it holds texture coordinates.
+fn coordinates<'m>(mesh: &'m Mesh, name: &str) -> Option<&'m Primvar> {
+    mesh.primvar(name).filter(|primvar| primvar.components == 2)
 }
 
 /// Value of a primvar at corner `k` of triangle `t`.

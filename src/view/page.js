@@ -254,10 +254,15 @@ function scales() {
 }
 
 let asked = false;
+function redrawNow() {
+  asked = false;
+  draw();
+  scales();
+}
 function redraw() {
   if (asked) return;
   asked = true;
-  requestAnimationFrame(() => { asked = false; draw(); scales(); document.body.dataset.ready = "yes"; });
+  requestAnimationFrame(redrawNow);
 }
 
 // What is drawn at a pixel (from the lower left): the id of the vertex or surfel; -1 for nothing.
@@ -370,4 +375,6 @@ window.addEventListener("resize", resize);
 home();
 if (about.camera) fromCamera(about.camera);
 resize();
-if (wanted.has("pick")) requestAnimationFrame(() => pick(...wanted.get("pick").split(",").map(Number)));
+// not with the next frame: whoever waits until the page has loaded sees all of it
+redrawNow();
+if (wanted.has("pick")) pick(...wanted.get("pick").split(",").map(Number));

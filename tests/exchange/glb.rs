@@ -436,11 +436,12 @@ fn json_of(glb: &std::path::Path) -> Json {
 
 #[test]
 fn textures_that_glb_cannot_have_are_told() {
-    // a file that is not there, coordinates that are not written; how many images are left
+    // a file that is not there, images of one that lie differently; how many images are left
     let missing = ("@metal.png@", "@missing.png@", "missing.png", 4);
-    let (st, other) = ("varname = \"st\"", "varname = \"other\"");
-    let other = (st, other, "primvars:other", 1);
-    for (from, to, word, images) in [missing, other] {
+    let st = "\"raw\"\n            float2 inputs:st.connect = </World/paint/st.outputs";
+    let moved = st.replace("paint/st.", "paint/moved.");
+    let apart = (st, moved.as_str(), "lie on the surface differently", 4);
+    for (from, to, word, images) in [missing, apart] {
         let (folder, stage) = crate::program::stage(&TEXTURED.replacen(from, to, 1));
         python_json(PAINT, &[folder.path()]);
         let glb = folder.path().join("out.glb");
@@ -451,4 +452,76 @@ fn textures_that_glb_cannot_have_are_told() {
         let json = json_of(&glb);
         assert_eq!(json["images"].as_array().unwrap().len(), images, "{json}");
     }
+}
+
+/// Coordinates that Blender places the images of `paint` by, and all that its mesh has: `x y u v` of each corner.
+const PLACED: &str = "
+import sys, json, bpy, addon_utils
+bpy.ops.wm.read_factory_settings(use_empty=True)
+addon_utils.enable('io_scene_gltf2')
+bpy.ops.import_scene.gltf(filepath=sys.argv[1])
+mesh = [o.data for o in bpy.data.objects if o.type == 'MESH' and o.name.startswith('painted')][0]
+def layer(data):
+    corners = []
+    for p in mesh.polygons:
+        for l in p.loop_indices:
+            x, _, y = mesh.vertices[mesh.loops[l].vertex_index].co
+            corners.append([x, y, *data[l].uv])
+    return sorted(corners)
+def placed(socket):
+    node = socket.links[0].from_node
+    while node.type != 'TEX_IMAGE':
+        node = [s for s in node.inputs if s.links][0].links[0].from_node
+    while node.type != 'UVMAP':
+        linked = [s for s in node.inputs if s.links]
+        if not linked:
+            return layer(mesh.uv_layers[0].data)
+        node = linked[0].links[0].from_node
+    return layer(mesh.uv_layers[node.uv_map].data)
+shader = [n for n in bpy.data.materials['paint'].node_tree.nodes if n.type == 'BSDF_PRINCIPLED'][0]
+print(json.dumps({'color': placed(shader.inputs['Base Color']), 'bumps': placed(shader.inputs['Normal']), 'sets': [layer(l.data) for l in mesh.uv_layers]}))
+";
+
+#[test]
+fn blender_places_textures_by_the_primvars_that_the_stage_does() {
+    // color by map1, bumps by map2, and st that nothing reads
+    let st =
+        "texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (interpolation = \"vertex\")";
+    let more = "texCoord2f[] primvars:map1 = [(0, 0.25), (0.5, 0.25), (0.5, 0.75), (0, 0.75)] (interpolation = \"vertex\")
+        texCoord2f[] primvars:map2 = [(0, 0), (0, 1), (1, 1), (1, 0)] (interpolation = \"vertex\")";
+    let reader = "        def Shader \"st\"
+        {
+            uniform token info:id = \"UsdPrimvarReader_float2\"
+            string inputs:varname = \"st\"";
+    let other =
+        reader
+            .replace("\"st\"", "\"st2\"")
+            .replacen("varname = \"st2\"", "varname = \"map2\"", 1)
+            + "\n            float2 outputs:result\n        }\n";
+    let own = other.clone() + &reader.replace("varname = \"st\"", "varname = \"map1\"");
+    let bumps = TEXTURED.find("@bumps.png@").expect("a texture");
+    let mut text = TEXTURED.to_owned();
+    let after = text.split_off(bumps);
+    text += &after.replacen("paint/st.outputs", "paint/st2.outputs", 1);
+    let text = text
+        .replacen(st, &format!("{st}\n        {more}"), 1)
+        .replacen(reader, &own, 1);
+    let (folder, stage) = crate::program::stage(&text);
+    python_json(PAINT, &[folder.path()]);
+    let glb = folder.path().join("out.glb");
+    let report = convert(&stage, &glb, &["--usd", "native"]);
+    assert_eq!(report["warnings"], Json::Array(Vec::new()));
+    let read = python_json(PLACED, &[&glb]);
+    let check = |corners: &Json, place: &dyn Fn(f64, f64) -> [f64; 2]| {
+        let corners = numbers(corners);
+        assert_eq!(corners.len(), 6 * 4);
+        for corner in corners.chunks_exact(4) {
+            let truth = place(corner[0], corner[1]);
+            assert!((corner[2] - truth[0]).abs() < 1e-6, "{corner:?} {truth:?}");
+            assert!((corner[3] - truth[1]).abs() < 1e-6, "{corner:?} {truth:?}");
+        }
+    };
+    check(&read["color"], &|x, y| [0.5 * x, 0.25 + 0.5 * y]);
+    check(&read["bumps"], &|x, y| [y, x]);
+    check(&read["sets"][2], &|x, y| [x, y]);
 }

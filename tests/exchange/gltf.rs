@@ -288,6 +288,55 @@ fn usd_core_reads_materials_and_textures_as_the_file_means_them() {
     );
 }
 
+/// Vertices of every curve of the sample's strip in order, closed ones with the first again; and what Pixar's validators say.
+const CURVES: &str = "
+import sys, json
+from pxr import Usd, UsdGeom, UsdValidation
+stage = Usd.Stage.Open(sys.argv[1])
+curves = [UsdGeom.BasisCurves(p) for p in stage.Traverse() if p.IsA(UsdGeom.BasisCurves)][0]
+points, at, out = [list(p) for p in curves.GetPointsAttr().Get()], 0, []
+for count in curves.GetCurveVertexCountsAttr().Get():
+    curve = points[at:at + count]
+    out.append(curve + curve[:1] if curves.GetWrapAttr().Get() == 'periodic' else curve)
+    at += count
+context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
+print(json.dumps({'curves': out, 'type': curves.GetTypeAttr().Get(), 'widths': list(curves.GetWidthsAttr().Get()),
+    'errors': [e.GetName() for e in context.Validate(stage)]}))
+";
+
+#[test]
+fn usd_core_reads_lines_as_the_file_connects_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = fs::read_to_string(sample(folder.path(), "s.gltf")).unwrap();
+    let at = [
+        [0.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [1.0, 1.0, 0.0],
+        [2.0, 0.0, 0.5],
+    ];
+    let [a, b, c, d, e] = at;
+    let truths = [
+        ("1", serde_json::json!([[a, b], [c, d]])),
+        ("2", serde_json::json!([[a, b, c, d, e, a]])),
+        ("3", serde_json::json!([[a, b, c, d, e]])),
+    ];
+    for (mode, truth) in truths {
+        let from = folder.path().join("lines.gltf");
+        let to = folder.path().join("lines.usda");
+        let lines = text.replacen("\"mode\": 5", &format!("\"mode\": {mode}"), 1);
+        assert_ne!(lines, text);
+        fs::write(&from, lines).unwrap();
+        let report = convert(&from, &to, &[]);
+        assert!(report.to_string().contains("no width"), "{report}");
+        let read = python_json(CURVES, &[&to]);
+        assert_eq!(read["curves"], truth, "mode {mode}");
+        assert_eq!(read["type"], "linear");
+        assert_eq!(read["errors"], Json::Array(Vec::new()));
+        assert_eq!(read["widths"].as_array().unwrap().len(), 1);
+    }
+}
+
 #[test]
 fn damaged_files_are_errors_and_write_nothing() {
     let folder = tempfile::tempdir().unwrap();

@@ -25,8 +25,11 @@ const REPEAT: u32 = 10497;
 const CLAMP_TO_EDGE: u32 = 33071;
 const MIRRORED_REPEAT: u32 = 33648;
 
-/// The only coordinates that are written.
+/// Coordinates that are written whether something reads them or not.
 pub(super) const COORDINATES: &str = "st";
+
+/// Sets of coordinates that surfaces of one material have, at most.
+pub(super) const SETS: usize = 4;
 
 /// What has been written of images.
 #[derive(Default)]
@@ -67,6 +70,27 @@ pub(super) struct Maps {
     pub(super) normal: Option<Value>,
 }
 
+/// Primvars that are `TEXCOORD_0`, `TEXCOORD_1` … of the surfaces of `material`: those that its textures read, in the order
+/// of its inputs.
+pub(super) fn coordinates_of(material: &Material) -> Vec<&str> {
+    let inputs = [
+        &material.diffuse_color,
+        &material.opacity,
+        &material.roughness,
+        &material.metallic,
+        &material.emissive_color,
+    ];
+    let reads = inputs.into_iter().filter_map(read_of);
+    let mut names = Vec::new();
+    for read in reads.chain(material.normal.as_deref()) {
+        let name = read.uv.primvar.as_str();
+        if !names.contains(&name) && names.len() < SETS {
+            names.push(name);
+        }
+    }
+    names
+}
+
 /// Texture read by `input`, if it can be had with the coordinates there are.
 pub(super) fn read_of(input: &Input) -> Option<&TextureRead> {
     match input {
@@ -96,7 +120,8 @@ impl Textures {
             emissive_strength: 1.0,
             ..Maps::default()
         };
-        let mut add = |name: &str, recipe: Recipe<'_>| match self.add(&recipe, data) {
+        let sets = coordinates_of(material);
+        let mut add = |name: &str, recipe: Recipe<'_>| match self.add(&recipe, &sets, data) {
             Ok(info) => Some(info),
             Err(why) => {
                 lost(name, why);
@@ -137,6 +162,7 @@ impl Textures {
     fn add(
         &mut self,
         recipe: &Recipe<'_>,
+        sets: &[&str],
         data: &mut dyn FnMut(&[u8]) -> usize,
     ) -> Result<Value, String> {
         let mut reads = recipe.reads();
@@ -145,12 +171,11 @@ impl Textures {
             let (a, b) = (first.file.display(), other.file.display());
             return Err(format!("{a} and {b} lie on the surface differently"));
         }
-        if first.uv.primvar != COORDINATES {
-            let name = &first.uv.primvar;
-            return Err(format!(
-                "it is placed by primvars:{name}, and only those of primvars:{COORDINATES} are written"
-            ));
-        }
+        let name = first.uv.primvar.as_str();
+        let set = sets.iter().position(|set| *set == name);
+        let set = set.ok_or_else(|| {
+            format!("it is placed by primvars:{name}, and {SETS} other primvars are written")
+        })?;
         let key = recipe.key();
         let index = match self.known.get(&key) {
             Some(&index) => index,
@@ -161,6 +186,9 @@ impl Textures {
             }
         };
         let mut info = json!({ "index": index });
+        if set > 0 {
+            info["texCoord"] = json!(set);
+        }
         if let Some(transform) = transform(first.uv.transform) {
             self.has_transforms = true;
             info["extensions"] = json!({ "KHR_texture_transform": transform });

@@ -1,6 +1,7 @@
-//! Meshes → `Mesh` and `Points` prims, one a primitive.
+//! Meshes → `Mesh`, `BasisCurves` and `Points` prims, one a primitive.
 
 use super::accessor::{indices, numbers};
+use super::lines;
 use super::nodes::Job;
 use super::skins::{self, Bound};
 use crate::exchange::Error;
@@ -34,20 +35,21 @@ pub(super) fn write(
             let message = "the morph targets of instances are left out: it is shown without them";
             job.lost(&path, message);
         }
-        match primitive.mode() {
-            Mode::Points => write_points(job, &primitive, columns, &path)?,
-            Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan => {
-                let triangles = triangles(job, &primitive, count).map_err(|message| {
-                    wrong(format!("mesh {} ({place}): {message}", mesh.index()))
-                })?;
-                write_mesh(job, &primitive, (columns, triangles), &path)?;
-            }
-            mode => {
-                let message =
-                    format!("its {mode:?} are left out: only triangles and points are drawn");
-                job.lost(&path, message);
+        let mode = primitive.mode();
+        if mode == Mode::Points {
+            write_points(job, &primitive, columns, &path)?;
+        } else {
+            let corners = corners(job, &primitive, count)
+                .map_err(|message| wrong(format!("mesh {} ({place}): {message}", mesh.index())))?;
+            if matches!(mode, Mode::Lines | Mode::LineStrip | Mode::LineLoop) {
+                lines::write(job, &primitive, (columns, corners), &path)?;
+                if bound.is_some() {
+                    let message = "what deforms its lines is left out: they are shown at rest";
+                    job.lost(&path, message);
+                }
                 continue;
             }
+            write_mesh(job, &primitive, (columns, triangles(mode, &corners)), &path)?;
         }
         if let Some(bound) = bound {
             skins::attach(job, &primitive, (count, &path), bound)?;
@@ -57,9 +59,9 @@ pub(super) fn write(
 }
 
 /// Values at the vertices of a primitive.
-struct Columns {
-    positions: Vec<Vec3>,
-    normals: Option<Vec<Vec3>>,
+pub(super) struct Columns {
+    pub(super) positions: Vec<Vec3>,
+    pub(super) normals: Option<Vec<Vec3>>,
     colors: Option<Vec<Vec4>>,
     has_alpha: bool,
     coordinates: Vec<(u32, Vec<Vec2>)>,
@@ -120,24 +122,47 @@ impl Columns {
         }
         Ok(columns)
     }
+
+    /// The values of these vertices, in this order.
+    pub(super) fn at(&self, vertices: &[u32]) -> Self {
+        fn each<T: Copy>(values: &[T], vertices: &[u32]) -> Vec<T> {
+            vertices.iter().map(|&v| values[v as usize]).collect()
+        }
+        let coordinates = self.coordinates.iter();
+        Self {
+            positions: each(&self.positions, vertices),
+            normals: self.normals.as_ref().map(|all| each(all, vertices)),
+            colors: self.colors.as_ref().map(|all| each(all, vertices)),
+            has_alpha: self.has_alpha,
+            coordinates: coordinates
+                .map(|(set, all)| (*set, each(all, vertices)))
+                .collect(),
+            radii: self.radii.as_ref().map(|all| each(all, vertices)),
+        }
+    }
 }
 
-/// Corners of all triangles; those that use a vertex twice, which strips are turned with, are left out.
-fn triangles(
+/// Indices of the vertices that are connected.
+fn corners(
     job: &Job<'_>,
     primitive: &gltf::Primitive<'_>,
     count: usize,
-) -> Result<Vec<[u32; 3]>, String> {
+) -> Result<Vec<u32>, String> {
     let corners = match primitive.indices() {
         Some(accessor) => indices(job.document, &accessor)?,
         None => (0..u32::try_from(count).map_err(|_| "it has more than 2^32 vertices")?).collect(),
     };
-    if let Some(index) = corners.iter().find(|&&index| index as usize >= count) {
-        return Err(format!(
+    match corners.iter().find(|&&index| index as usize >= count) {
+        Some(index) => Err(format!(
             "index {index} is out of range, there are {count} vertices"
-        ));
+        )),
+        None => Ok(corners),
     }
-    let mut triangles: Vec<[u32; 3]> = match primitive.mode() {
+}
+
+/// Corners of all triangles; those that use a vertex twice, which strips are turned with, are left out.
+fn triangles(mode: Mode, corners: &[u32]) -> Vec<[u32; 3]> {
+    let mut triangles: Vec<[u32; 3]> = match mode {
         Mode::TriangleStrip => {
             let windows = corners.windows(3).enumerate();
             windows
@@ -161,20 +186,18 @@ fn triangles(
             .collect(),
     };
     triangles.retain(|[a, b, c]| a != b && b != c && c != a);
-    Ok(triangles)
+    triangles
+}
+
+/// Lowest and highest of `positions`; zero where there are none.
+pub(super) fn bounds(positions: &[Vec3]) -> (Vec3, Vec3) {
+    let positions = || positions.iter().copied();
+    let low = positions().reduce(Vec3::min).unwrap_or_default();
+    (low, positions().reduce(Vec3::max).unwrap_or_default())
 }
 
 fn extent(positions: &[Vec3], radius: f32) -> Data {
-    let low = positions
-        .iter()
-        .copied()
-        .reduce(Vec3::min)
-        .unwrap_or_default();
-    let high = positions
-        .iter()
-        .copied()
-        .reduce(Vec3::max)
-        .unwrap_or_default();
+    let (low, high) = bounds(positions);
     Data::Vec3s(vec![low - radius, high + radius])
 }
 
@@ -210,15 +233,24 @@ fn write_mesh(
         ("doubleSided", "bool"),
         Data::Bool(material.double_sided()),
     )?;
-    let has_colors = columns.colors.is_some();
     write_columns(job, &material, columns, path)?;
-    let look = job.looks.path_of(&material, has_colors);
+    bind(job, primitive, path)
+}
+
+/// Bind the material of `primitive` to the prim at `path`.
+pub(super) fn bind(
+    job: &mut Job<'_>,
+    primitive: &gltf::Primitive<'_>,
+    path: &str,
+) -> Result<(), Error> {
+    let has_colors = primitive.get(&Semantic::Colors(0)).is_some();
+    let look = job.looks.path_of(&primitive.material(), has_colors);
     job.author.apply(path, &["MaterialBindingAPI"])?;
     Ok(job.author.relate(path, "material:binding", &[look])?)
 }
 
-/// What meshes and points have alike.
-fn write_columns(
+/// What meshes, lines and points have alike.
+pub(super) fn write_columns(
     job: &mut Job<'_>,
     material: &gltf::Material<'_>,
     columns: Columns,

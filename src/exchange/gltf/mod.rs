@@ -13,6 +13,7 @@
 //! | glTF | USD |
 //! |---|---|
 //! | triangles, strips, fans, points | `Mesh` without subdivision; `Points` with `_RADIUS` as half of `widths` |
+//! | lines, strips, loops | `BasisCurves`, a thousandth of their size wide: lines have no width in glTF |
 //! | `TEXCOORD_n` | `primvars:st`, `st1` …, v turned over |
 //! | `COLOR_0` | `primvars:COLOR_0` as it is; times the base color `primvars:displayColor`, which the material reads where it has no texture |
 //! | textures | `UsdUVTexture`: metallic from blue, roughness from green, occlusion from red; files beside the result where they were packed |
@@ -30,6 +31,7 @@
 mod accessor;
 mod document;
 mod images;
+mod lines;
 mod materials;
 mod meshes;
 mod motion;

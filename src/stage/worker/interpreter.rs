@@ -16,20 +16,33 @@ const IMPORT_TIMEOUT: Duration = Duration::from_secs(30);
 const IMPORTS: &str =
     "import sys; sys.path[:] = [p for p in sys.path if p]; from pxr import Usd; import numpy";
 
-/// `SURFLUX_USD_PYTHON`, else `.venv/bin/python` where it exists, else `python3`.
+/// Names of an interpreter in the folder where a wheel puts this program.
+const NEIGHBORS: [&str; 2] = ["python3", "python.exe"];
+
+/// `SURFLUX_USD_PYTHON`, else `.venv/bin/python` where it exists, else the Python beside this program where there is one
+/// (`pip install` puts the program there), else `python3`.
 pub(super) fn find() -> PathBuf {
     choose(
         std::env::var_os(VARIABLE),
         Path::new(".venv/bin/python").is_file(),
+        std::env::current_exe()
+            .ok()
+            .and_then(|program| beside(&program)),
     )
 }
 
-fn choose(variable: Option<OsString>, has_venv: bool) -> PathBuf {
+fn choose(variable: Option<OsString>, has_venv: bool, beside: Option<PathBuf>) -> PathBuf {
     match variable.filter(|value| !value.is_empty()) {
         Some(interpreter) => interpreter.into(),
         None if has_venv => PathBuf::from(".venv/bin/python"),
-        None => PathBuf::from("python3"),
+        None => beside.unwrap_or_else(|| PathBuf::from("python3")),
     }
+}
+
+/// The interpreter in the folder of `program`.
+fn beside(program: &Path) -> Option<PathBuf> {
+    let found = NEIGHBORS.map(|name| program.with_file_name(name));
+    found.into_iter().find(|python| python.is_file())
 }
 
 /// True if `interpreter` starts and can import what the worker needs.
@@ -62,16 +75,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_variable_wins_over_the_environment_in_the_folder_over_the_system() {
+    fn the_variable_wins_over_the_folder_over_the_neighbor_over_the_system() {
         let variable = || Some(OsString::from("hython"));
-        assert_eq!(choose(variable(), true), Path::new("hython"));
-        assert_eq!(choose(None, true), Path::new(".venv/bin/python"));
-        assert_eq!(choose(None, false), Path::new("python3"));
+        let beside = || Some(PathBuf::from("/wheel/bin/python3"));
+        assert_eq!(choose(variable(), true, beside()), Path::new("hython"));
+        assert_eq!(choose(None, true, beside()), Path::new(".venv/bin/python"));
         assert_eq!(
-            choose(Some(OsString::new()), false),
+            choose(None, false, beside()),
+            Path::new("/wheel/bin/python3")
+        );
+        assert_eq!(
+            choose(Some(OsString::new()), false, None),
             Path::new("python3"),
             "an empty variable is unset"
         );
+    }
+
+    #[test]
+    fn the_neighbor_is_a_file_in_the_folder_of_the_program() {
+        let folder = tempfile::tempdir().unwrap();
+        let program = folder.path().join("surflux");
+        std::fs::create_dir(folder.path().join("python3")).unwrap();
+        assert_eq!(beside(&program), None);
+        let python = folder.path().join("python.exe");
+        std::fs::write(&python, "").unwrap();
+        assert_eq!(beside(&program), Some(python));
     }
 
     #[test]

@@ -43,9 +43,14 @@ pub struct WorkerSource {
     kept: Option<ArrayFile>,
 }
 
+/// The Python that workers run in: `SURFLUX_USD_PYTHON`, else `.venv/bin/python` in the current folder, else the one
+/// beside this program, else `python3`.
+pub fn python() -> PathBuf {
+    interpreter::find()
+}
+
 impl WorkerSource {
-    /// True if an interpreter that can import `pxr` and `numpy` is found (`SURFLUX_USD_PYTHON`, else
-    /// `.venv/bin/python`, else `python3`). Found out once a process, by starting it (0.2 s).
+    /// True if [`python`] can import `pxr` and `numpy`. Found out once a process, by starting it (0.2 s).
     pub fn available() -> bool {
         static AVAILABLE: OnceLock<bool> = OnceLock::new();
         *AVAILABLE.get_or_init(|| interpreter::can_import(&interpreter::find()))
