@@ -18,6 +18,9 @@ pub(super) fn completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
 
 /// Write `surflux.1` and a page for each command into `folder`.
 pub(super) fn manual(folder: &Path) -> anyhow::Result<()> {
+    if !folder.is_dir() {
+        anyhow::bail!("{} is not a folder (create it first)", folder.display());
+    }
     let mut program = Cli::command();
     program.build();
     page(folder, &program)?;

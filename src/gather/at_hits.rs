@@ -92,13 +92,7 @@ impl<'a> HitLight<'a> {
     }
 
     fn surface(&self, hit: &Hit) -> Surface {
-        self.shader.surface(&SurfacePoint {
-            prim: hit.prim,
-            triangle: hit.triangle,
-            u: hit.u,
-            v: hit.v,
-            footprint: 0.0,
-        })
+        self.shader.surface(&SurfacePoint::of_hit(hit, 0.0))
     }
 
     fn reflected_by(&self, albedo: Vec3, hit: &Hit) -> Vec3 {

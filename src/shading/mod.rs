@@ -8,7 +8,7 @@ mod textures;
 
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Light, LightGroup, MaterialId, Prim, PrimId, Scene};
-use crate::trace::Opacity;
+use crate::trace::{Hit, Opacity};
 use glam::Vec3;
 use gloss::{Gloss, Lobe};
 pub use heights::{Heights, displaces};
@@ -35,6 +35,19 @@ pub struct SurfacePoint {
     pub v: f32,
     /// Edge length, in world units, of the square to average textures over; 0 = point-sampled at full resolution.
     pub footprint: f32,
+}
+
+impl SurfacePoint {
+    /// Where a ray hit; `footprint` as above.
+    pub fn of_hit(hit: &Hit, footprint: f32) -> Self {
+        Self {
+            prim: hit.prim,
+            triangle: hit.triangle,
+            u: hit.u,
+            v: hit.v,
+            footprint,
+        }
+    }
 }
 
 /// What a surface does with light.

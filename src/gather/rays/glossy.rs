@@ -103,13 +103,7 @@ impl Glossy<'_> {
     /// What a ray of which `part` is left met, if it is followed further.
     fn meet(&self, hit: &Hit, direction: Vec3, (depth, part): (u32, Vec3)) -> Option<Met> {
         let shader = self.lobes.shader;
-        let gloss = shader.gloss(&SurfacePoint {
-            prim: hit.prim,
-            triangle: hit.triangle,
-            u: hit.u,
-            v: hit.v,
-            footprint: 0.0,
-        });
+        let gloss = shader.gloss(&SurfacePoint::of_hit(hit, 0.0));
         let world = PlacedMesh::of(shader.scene(), hit.prim);
         let side = if hit.front { 1.0 } else { -1.0 };
         let plane = world.plane_normal(hit.triangle).try_normalize()? * side;
