@@ -10,11 +10,16 @@ use std::collections::HashMap;
 /// Corners at one position whose normals differ by less (1 − cosine; 2.6°) lie on one smooth surface.
 const SMOOTH: f32 = 1e-3;
 
+/// Where the mean of the normals at a place is shorter, surfaces lie back to back there: each moves by itself.
+const FACING: f64 = 0.1;
+
 /// What makes a displaced mesh of a cut one.
 pub(super) struct Relief<'a> {
     prim: PrimId,
     mesh: &'a Mesh,
     cut: Cut,
+    /// For every position the first that lies in the same place: meshes may have points of their own for each face.
+    firsts: Vec<u32>,
     /// Positions after the move.
     moved: Vec<Vec3>,
     /// Shading normals at the corners of pieces before it, unit or zero.
@@ -41,6 +46,7 @@ impl<'a> Relief<'a> {
             prim,
             mesh,
             normals: normals.collect(),
+            firsts: firsts(&cut.positions, mesh.closed),
             moved: Vec::new(),
             cut,
             heights,
@@ -53,25 +59,36 @@ impl<'a> Relief<'a> {
     /// Positions moved by the mean height of the corners there along the mean normal, both weighted by the angles.
     fn moves(&self) -> Vec<Vec3> {
         let heights = self.corner_heights();
-        let mut sums = vec![(DVec3::ZERO, 0.0, 0.0); self.cut.positions.len()];
+        let mut own = vec![Sum::default(); self.cut.positions.len()];
         for ((piece, normals), heights) in self.cut.pieces.iter().zip(&self.normals).zip(&heights) {
             let angles = self.angles(piece);
             for k in 0..3 {
-                let (normal, height, weight) = &mut sums[piece.corners[k] as usize];
-                *normal += angles[k] * normals[k].as_dvec3();
-                *height += angles[k] * f64::from(heights[k]);
-                *weight += angles[k];
+                let corner = Sum {
+                    normal: angles[k] * normals[k].as_dvec3(),
+                    height: angles[k] * f64::from(heights[k]),
+                    weight: angles[k],
+                };
+                own[piece.corners[k] as usize].add(&corner);
             }
         }
+        let mut shared = vec![Sum::default(); own.len()];
+        for (first, sum) in self.firsts.iter().zip(&own) {
+            shared[*first as usize].add(sum);
+        }
         let to_object = self.metric.inverse();
-        let places = self.cut.positions.iter().zip(sums);
-        let moved = places.map(|(position, (normal, height, weight))| {
+        let moved = (0..own.len()).map(|i| {
+            let position = self.cut.positions[i];
+            let shared = &shared[self.firsts[i] as usize];
+            let sum = match shared.normal.length() >= FACING * shared.weight {
+                true => shared,
+                false => &own[i],
+            };
             // M⁻¹ of the unit world normal, which is M⁻ᵀ n over its length.
-            let along = to_object * normal;
-            let unit = along / normal.dot(along).sqrt();
-            let by = unit * (height / weight);
+            let along = to_object * sum.normal;
+            let unit = along / sum.normal.dot(along).sqrt();
+            let by = unit * (sum.height / sum.weight);
             let to = (position.as_dvec3() + by).as_vec3();
-            if to.is_finite() { to } else { *position }
+            if to.is_finite() { to } else { position }
         });
         moved.collect()
     }
@@ -170,7 +187,7 @@ impl<'a> Relief<'a> {
             .collect();
         let around = self.around();
         let mut turned = self.normals.clone();
-        for corners in around.chunk_by(|a, b| self.position(*a) == self.position(*b)) {
+        for corners in around.chunk_by(|a, b| self.place(*a) == self.place(*b)) {
             for &corner in corners {
                 let normal = self.normals[corner.0][corner.1];
                 let smooth = corners
@@ -189,27 +206,27 @@ impl<'a> Relief<'a> {
         turned
     }
 
-    /// All corners (piece, corner), those at one position one after the other.
+    /// All corners (piece, corner), those in one place one after the other.
     fn around(&self) -> Vec<(usize, usize)> {
         let corners = || (0..self.cut.pieces.len()).flat_map(|piece| [0, 1, 2].map(|k| (piece, k)));
         let mut places = vec![0; self.moved.len() + 1];
         for corner in corners() {
-            places[self.position(corner) as usize + 1] += 1;
+            places[self.place(corner) as usize + 1] += 1;
         }
         for i in 1..places.len() {
             places[i] += places[i - 1];
         }
         let mut sorted = vec![(0, 0); 3 * self.cut.pieces.len()];
         for corner in corners() {
-            let place = &mut places[self.position(corner) as usize];
+            let place = &mut places[self.place(corner) as usize];
             sorted[*place] = corner;
             *place += 1;
         }
         sorted
     }
 
-    fn position(&self, (piece, k): (usize, usize)) -> u32 {
-        self.cut.pieces[piece].corners[k]
+    fn place(&self, (piece, k): (usize, usize)) -> u32 {
+        self.firsts[self.cut.pieces[piece].corners[k] as usize]
     }
 
     /// Normals at corners as the mesh keeps them: one a position where no two differ there.
@@ -318,4 +335,35 @@ impl<'a> Relief<'a> {
             ..cage.clone()
         }
     }
+}
+
+/// What corners in one place say together, weighted by their angles.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sum {
+    normal: DVec3,
+    height: f64,
+    weight: f64,
+}
+
+impl Sum {
+    fn add(&mut self, other: &Self) {
+        self.normal += other.normal;
+        self.height += other.height;
+        self.weight += other.weight;
+    }
+}
+
+/// For each of `positions` the first of those that equal it; of a closed mesh, which shares them, itself.
+fn firsts(positions: &[Vec3], is_closed: bool) -> Vec<u32> {
+    let numbers = (0_u32..).take(positions.len());
+    if is_closed {
+        return numbers.collect();
+    }
+    let mut known: HashMap<[u32; 3], u32> = HashMap::with_capacity(positions.len());
+    let first = |(number, position): (u32, &Vec3)| {
+        // −0 is 0.
+        let place = (*position + 0.0).to_array().map(f32::to_bits);
+        *known.entry(place).or_insert(number)
+    };
+    numbers.zip(positions).map(first).collect()
 }

@@ -182,3 +182,24 @@ fn what_is_scaled_to_nothing_stays_where_it_is_with_a_warning() {
     assert_eq!(scene.meshes[0], cube());
     assert_eq!(diagnostics.warnings()[0].kind, "flat-displacement");
 }
+
+#[test]
+fn faces_with_points_of_their_own_stay_together_and_surfaces_back_to_back_part() {
+    let whole = cube();
+    let triangles: Vec<[Vec3; 3]> = (0..12).map(|t| whole.corners(t)).collect();
+    let scene = displaced_by(mesh(&triangles), Input::scalar(0.3), &[Affine3A::IDENTITY]);
+    let length = f32::sqrt(3.0) + 0.3;
+    for position in &scene.meshes[0].positions {
+        let expected = position.signum() / f32::sqrt(3.0) * length;
+        assert!(position.distance(expected) < 1e-6, "{position}");
+    }
+    let one = [Vec3::ZERO, Vec3::X, Vec3::Y];
+    let other = [Vec3::ZERO, Vec3::Y, Vec3::X];
+    let scene = displaced_by(
+        mesh(&[one, other]),
+        Input::scalar(0.2),
+        &[Affine3A::IDENTITY],
+    );
+    let heights: Vec<f32> = scene.meshes[0].positions.iter().map(|p| p.z).collect();
+    assert_eq!(heights, [0.2, 0.2, 0.2, -0.2, -0.2, -0.2]);
+}
