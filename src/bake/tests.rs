@@ -7,6 +7,7 @@ use crate::scene::{
 };
 use crate::shading::Surface;
 use crate::surfels::Sides;
+use crate::trace::testing;
 use glam::{Affine3A, DVec3, Vec2, Vec4};
 
 fn mesh(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>, closed: bool) -> Mesh {
@@ -47,25 +48,11 @@ fn floor(n: u32) -> Mesh {
 
 /// A box around the origin, facing outwards, inwards for a negative size.
 fn cube(size: f32) -> Mesh {
-    let positions = (0..8).map(|i| {
-        Vec3::new(
-            (i & 1) as f32 - 0.5,
-            (i >> 1 & 1) as f32 - 0.5,
-            (i >> 2) as f32 - 0.5,
-        ) * size
-    });
-    let quads = [
-        [0, 4, 6, 2],
-        [1, 3, 7, 5],
-        [0, 1, 5, 4],
-        [2, 6, 7, 3],
-        [0, 2, 3, 1],
-        [4, 5, 7, 6],
-    ];
+    let (positions, quads) = testing::cube(size);
     let triangles = quads
         .iter()
         .flat_map(|q: &[u32; 4]| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]);
-    mesh(positions.collect(), triangles.collect(), true)
+    mesh(positions, triangles.collect(), true)
 }
 
 fn scene(meshes: Vec<(Mesh, Affine3A)>) -> Scene {

@@ -1,21 +1,11 @@
 use super::*;
 use crate::scene::{Cage, Input, Interpolation, Material, MaterialId, Normals, Primvar};
-use crate::trace::testing::{mesh, scene};
+use crate::trace::testing::{self, mesh, scene};
 use glam::{Affine3A, Vec3, Vec4};
 
 /// A box of half edge 1 with a face of two triangles a side, flat, its corners shared.
 fn cube() -> Mesh {
-    let positions: Vec<Vec3> = (0..8)
-        .map(|i| Vec3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { -1.0 } else { 1.0 })))
-        .collect();
-    let quads = [
-        [0, 4, 6, 2],
-        [1, 3, 7, 5],
-        [0, 1, 5, 4],
-        [2, 6, 7, 3],
-        [0, 2, 3, 1],
-        [4, 5, 7, 6],
-    ];
+    let (positions, quads) = testing::cube(2.0);
     let triangles = quads
         .iter()
         .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]])

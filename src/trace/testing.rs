@@ -51,6 +51,26 @@ pub(crate) fn mesh(triangles: &[[Vec3; 3]]) -> Mesh {
     }
 }
 
+/// Corners of a box of this size around the origin, and its sides: outward, or inward for a negative size.
+pub(crate) fn cube(size: f32) -> (Vec<Vec3>, [[u32; 4]; 6]) {
+    let corners = (0..8).map(|i| {
+        Vec3::new(
+            (i & 1) as f32 - 0.5,
+            (i >> 1 & 1) as f32 - 0.5,
+            (i >> 2) as f32 - 0.5,
+        ) * size
+    });
+    let quads = [
+        [0, 4, 6, 2],
+        [1, 3, 7, 5],
+        [0, 1, 5, 4],
+        [2, 6, 7, 3],
+        [0, 2, 3, 1],
+        [4, 5, 7, 6],
+    ];
+    (corners.collect(), quads)
+}
+
 /// A scene of `(mesh, transform)` prims without materials.
 pub(crate) fn scene(meshes: Vec<Mesh>, prims: &[(u32, Affine3A)]) -> Scene {
     let prims = prims.iter().map(|&(mesh, world_from_object)| Prim {
