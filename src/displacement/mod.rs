@@ -136,16 +136,15 @@ fn displaced(
             continue;
         }
         if doubling > 0 {
+            let cut = match is_last {
+                true => "not cut".to_owned(),
+                false => format!("cut to edges of {longest} only"),
+            };
             let message = format!(
-                "displaced triangles have edges up to {} long, since shorter ones than {} take more than {BUDGET} of them: finer displacement is lost",
-                if is_last { f64::INFINITY } else { longest },
-                longest,
+                "displaced triangles are {cut}, since with edges of {wanted} they are more than {BUDGET}: finer displacement is lost"
             );
-            diagnostics.warn(
-                "coarse-displacement",
-                scene.stage.path.display().to_string(),
-                message,
-            );
+            let stage = scene.stage.path.display().to_string();
+            diagnostics.warn("coarse-displacement", stage, message);
         }
         let relief = |(group, cut): (&Group, Cut)| {
             let placed = PlacedMesh::of(scene, group.first());

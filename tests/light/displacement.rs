@@ -224,6 +224,30 @@ fn a_sphere_grows_by_its_displacement_and_instances_by_the_same_in_the_world() {
 }
 
 #[test]
+fn what_takes_too_many_triangles_is_cut_less_with_a_warning() {
+    // Each size is a mesh of its own: 20 times a quarter of a million.
+    let copy = |k: u32| {
+        let scale = 1.0 + 0.01 * f64::from(k);
+        format!(
+            "def Xform \"c{k}\" {{ float3 xformOp:scale = ({scale}, {scale}, {scale})
+            uniform token[] xformOpOrder = [\"xformOp:scale\"]
+            def \"copy\" (prepend references = </World/card>) {{ }} }}\n"
+        )
+    };
+    let copies: String = (1..20).map(copy).collect();
+    let (folder, path) = stage(&card(RELIEF, OUTPUT, &copies));
+    images(folder.path());
+    let (_, report) = made(&path, &["points", "--surfels", "100"]);
+    let triangles = report["counts"]["triangles"].as_u64().expect("counted");
+    assert!((500_000..=2_000_000).contains(&triangles), "{triangles}");
+    let warnings = report["warnings"].to_string();
+    assert!(
+        warnings.contains("displaced triangles are cut to edges of"),
+        "{warnings}"
+    );
+}
+
+#[test]
 fn a_displacement_shader_that_is_not_known_is_a_warning() {
     let output = "token outputs:displacement.connect = </World/Look/relief.outputs:r>";
     let (folder, path) = stage(&card("", output, SUN));
