@@ -317,6 +317,10 @@ impl File<'_> {
             let message = format!("the texture of its {input} is left out: {why}");
             diagnostics.warn("lost", material.path.clone(), message);
         };
+        if material.displaces() {
+            let message = "its displacement is left out: surfaces lie where their meshes say";
+            diagnostics.warn("lost", material.path.clone(), message);
+        }
         let (bytes, views) = (&mut self.bytes, &mut self.views);
         let mut data = |image: &[u8]| {
             views.push(json!({

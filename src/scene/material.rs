@@ -159,6 +159,11 @@ impl Default for Material {
 }
 
 impl Material {
+    /// True if it may move the surface it is on.
+    pub fn displaces(&self) -> bool {
+        !matches!(self.displacement, Input::Constant(value) if value.x == 0.0)
+    }
+
     /// All inputs that surfaces are shaded with, by their UsdPreviewSurface names.
     pub fn inputs(&self) -> [(&'static str, &Input); 11] {
         [

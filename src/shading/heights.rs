@@ -4,13 +4,8 @@ use super::material::{Place, Source};
 use super::textures::{Reads, Textures};
 use super::{SurfacePoint, materials_in_use};
 use crate::diagnostics::Diagnostics;
-use crate::scene::{Input, Material, MaterialId, PrimId, Scene};
+use crate::scene::{Material, MaterialId, PrimId, Scene};
 use std::path::Path;
-
-/// True if `material` may move the surface it is on.
-pub fn displaces(material: &Material) -> bool {
-    !matches!(material.displacement, Input::Constant(value) if value.x == 0.0)
-}
 
 /// Displacements of a scene's materials (UsdPreviewSurface `displacement`); their textures are decoded once.
 #[derive(Debug)]
@@ -29,12 +24,12 @@ impl<'a> Heights<'a> {
         let materials = || scene.materials.iter().zip(&used);
         let displacing = || {
             materials()
-                .filter_map(|(material, used)| (*used && displaces(material)).then_some(material))
+                .filter_map(|(material, used)| (*used && material.displaces()).then_some(material))
         };
         displacing().next()?;
         let textures = Textures::load(displacing(), Reads::Displacement, diagnostics);
         let source = |(material, used): (&'a Material, &bool)| {
-            (*used && displaces(material)).then(|| Source::new(&material.displacement, &textures))
+            (*used && material.displaces()).then(|| Source::new(&material.displacement, &textures))
         };
         let sources = materials().map(source).collect();
         Some(Self {

@@ -11,7 +11,7 @@ use crate::scene::{Light, LightGroup, MaterialId, Prim, PrimId, Scene};
 use crate::trace::{Hit, Opacity};
 use glam::Vec3;
 use gloss::{Gloss, Lobe};
-pub use heights::{Heights, displaces};
+pub use heights::Heights;
 use material::Compiled;
 use screens::Screens;
 pub use screens::may_be_screen;

@@ -436,12 +436,23 @@ fn json_of(glb: &std::path::Path) -> Json {
 
 #[test]
 fn textures_that_glb_cannot_have_are_told() {
-    // a file that is not there, images of one that lie differently; how many images are left
+    // a file that is not there, images of one that lie differently, what is no texture; how many images are left
     let missing = ("@metal.png@", "@missing.png@", "missing.png", 4);
     let st = "\"raw\"\n            float2 inputs:st.connect = </World/paint/st.outputs";
     let moved = st.replace("paint/st.", "paint/moved.");
     let apart = (st, moved.as_str(), "lie on the surface differently", 4);
-    for (from, to, word, images) in [missing, apart] {
+    let surface = "token outputs:surface.connect = </World/paint/s.outputs:surface>";
+    let displaced = format!(
+        "{surface}\n        token outputs:displacement.connect = </World/paint/d.outputs:displacement>
+        def Shader \"d\" {{ uniform token info:id = \"UsdPreviewSurface\"\nfloat inputs:displacement = 0.1 }}"
+    );
+    let displaced = (
+        surface,
+        displaced.as_str(),
+        "its displacement is left out",
+        5,
+    );
+    for (from, to, word, images) in [missing, apart, displaced] {
         let (folder, stage) = crate::program::stage(&TEXTURED.replacen(from, to, 1));
         python_json(PAINT, &[folder.path()]);
         let glb = folder.path().join("out.glb");

@@ -4,7 +4,7 @@ use crate::diagnostics::Diagnostics;
 use crate::image;
 use crate::pipeline::world::Needs;
 use crate::scene::{Input, LightKind, Scene};
-use crate::shading::{displaces, may_be_screen};
+use crate::shading::may_be_screen;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -49,7 +49,7 @@ pub(super) fn of(scene: &Scene, needs: Needs) -> Vec<TextureSummary> {
     };
     for material in &scene.materials {
         let is_decoded = |name: &str| {
-            (name == "displacement" && displaces(material))
+            (name == "displacement" && material.displaces())
                 || (OPACITY.contains(&name) && may_be_screen(material))
                 || (DIFFUSE.contains(&name) && needs.materials)
         };
