@@ -8,7 +8,7 @@ mod cut;
 mod relief;
 
 use crate::diagnostics::Diagnostics;
-use crate::scene::{FaceMaterials, Mesh, MeshId, PlacedMesh, PrimId, Scene};
+use crate::scene::{FaceMaterials, Mesh, MeshId, PrimId, Scene};
 use crate::shading::Heights;
 use cut::Cut;
 use glam::{DMat3, Mat3};
@@ -147,8 +147,9 @@ fn displaced(
             diagnostics.warn("coarse-displacement", stage, message);
         }
         let relief = |(group, cut): (&Group, Cut)| {
-            let placed = PlacedMesh::of(scene, group.first());
-            Relief::new(heights, (group.first(), &placed), &group.metric, cut).mesh()
+            let prim = group.first();
+            let mesh = scene.mesh_of(&scene.prims[prim.index()]);
+            Relief::new(heights, (prim, mesh), &group.metric, cut).mesh()
         };
         return cuts.into_par_iter().map(relief).collect();
     }

@@ -1,7 +1,7 @@
 //! A cut mesh moved along its normals.
 
 use super::cut::{Cut, Piece, length};
-use crate::scene::{Cage, Interpolation, Mesh, Normals, PlacedMesh, PrimId, Primvar};
+use crate::scene::{Cage, Interpolation, Mesh, Normals, PrimId, Primvar};
 use crate::shading::{Heights, SurfacePoint};
 use glam::{DMat3, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
@@ -29,14 +29,13 @@ pub(super) struct Relief<'a> {
 }
 
 impl<'a> Relief<'a> {
-    /// Move the positions of `cut`, of the mesh placed as `prim`, whose vectors are as long in the world as `metric` says.
+    /// Move the positions of `cut`, of the `mesh` of `prim`, whose vectors are as long in the world as `metric` says.
     pub(super) fn new(
         heights: &'a Heights<'a>,
-        (prim, placed): (PrimId, &PlacedMesh<'a>),
+        (prim, mesh): (PrimId, &'a Mesh),
         metric: &'a DMat3,
         cut: Cut,
     ) -> Self {
-        let mesh = placed.mesh;
         let normals = cut.pieces.par_iter().map(|piece| {
             piece
                 .at

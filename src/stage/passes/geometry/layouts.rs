@@ -1,12 +1,53 @@
-//! Primvars and attributes of curves and points, which have no faces: how many values each interpolation asks for.
+//! What curves and points, which have no faces, have alike: attributes, primvars, and how many values of these each
+//! interpolation asks for.
 
 use super::super::super::raw::{RawAttribute, RawPrim};
+use super::attributes::boolean;
+use super::authored::local_origin;
 use super::primvars::{AuthoredPrimvar, read_attribute};
 use super::topology::Topology;
 use crate::diagnostics::Diagnostics;
+use crate::math::Bounds3;
+use glam::{DVec3, Vec3};
 
 /// Width of curves and points without any: what Hydra draws.
 pub(super) const DEFAULT_WIDTH: f32 = 1.0;
+
+/// What a prim of curves or points has.
+#[derive(Debug)]
+pub(super) struct Body<'a> {
+    pub(super) points: &'a [Vec3],
+    pub(super) widths: Option<AuthoredPrimvar>,
+    pub(super) normals: Option<AuthoredPrimvar>,
+    pub(super) primvars: Vec<AuthoredPrimvar>,
+    pub(super) double_sided: bool,
+    pub(super) type_name: String,
+    /// Positions are relative to this.
+    pub(super) center: DVec3,
+}
+
+impl<'a> Body<'a> {
+    /// What `prim` has of `points`, which are finite, with those of the primvars called `names` that it or (constant)
+    /// `inherited` prims author. Warnings call what it is made of `things`.
+    pub(super) fn read(
+        (prim, points, things): (&RawPrim, &'a [Vec3], &str),
+        (inherited, names): (&[(String, &RawPrim)], &[String]),
+        layouts: &Layouts,
+        diagnostics: &Diagnostics,
+    ) -> Self {
+        let bounds = Bounds3::around(points.iter().copied());
+        let normals = layouts.read(prim, "normals", diagnostics);
+        Self {
+            points,
+            widths: layouts.widths(prim, things, diagnostics),
+            primvars: layouts.primvars(prim, inherited, names, diagnostics),
+            double_sided: boolean(prim, "doubleSided", normals.is_some()),
+            normals,
+            type_name: prim.type_name.clone(),
+            center: local_origin(bounds.min.as_dvec3(), bounds.max.as_dvec3()),
+        }
+    }
+}
 
 /// What interpolations count over.
 pub(super) struct Layouts {
@@ -40,7 +81,7 @@ impl Layouts {
     }
 
     /// `primvars:NAME`, else the attribute NAME, which is of vertex interpolation unless it says otherwise.
-    pub(super) fn read(
+    fn read(
         &self,
         prim: &RawPrim,
         name: &str,
@@ -82,7 +123,7 @@ impl Layouts {
     }
 
     /// Widths of the `things` of `prim`; without any, with a warning, they are [`DEFAULT_WIDTH`] wide.
-    pub(super) fn widths(
+    fn widths(
         &self,
         prim: &RawPrim,
         things: &str,
@@ -99,7 +140,7 @@ impl Layouts {
     }
 
     /// Those of the primvars called `names` that `prim` or (constant) `inherited` prims author.
-    pub(super) fn primvars(
+    fn primvars(
         &self,
         prim: &RawPrim,
         inherited: &[(String, &RawPrim)],

@@ -4,12 +4,10 @@
 //! faces it has; a disk is an octagon of its area.
 
 use super::super::super::raw::RawPrim;
-use super::attributes::{boolean, vectors};
-use super::authored::local_origin;
-use super::layouts::{DEFAULT_WIDTH, Layouts};
+use super::attributes::vectors;
+use super::layouts::{Body, DEFAULT_WIDTH, Layouts};
 use super::primvars::{AuthoredPrimvar, Layout};
 use crate::diagnostics::Diagnostics;
-use crate::math::Bounds3;
 use crate::scene::{Interpolation, Mesh, Normals, Primvar};
 use glam::{DVec3, Vec3};
 use std::collections::HashMap;
@@ -32,16 +30,7 @@ const DISK_CORNERS: u32 = 8;
 
 /// The points of one prim, checked.
 #[derive(Debug)]
-pub(super) struct PointSet<'a> {
-    points: &'a [Vec3],
-    widths: Option<AuthoredPrimvar>,
-    normals: Option<AuthoredPrimvar>,
-    primvars: Vec<AuthoredPrimvar>,
-    double_sided: bool,
-    type_name: String,
-    /// Positions are relative to this.
-    center: DVec3,
-}
+pub(super) struct PointSet<'a>(Body<'a>);
 
 /// A convex polyhedron with the area of the unit sphere.
 struct Ball {
@@ -73,17 +62,9 @@ impl<'a> PointSet<'a> {
             return None;
         }
         let layouts = Layouts::of(1, points.len(), points.len());
-        let normals = layouts.read(prim, "normals", diagnostics);
-        let bounds = Bounds3::around(points.iter().copied());
-        Some(Self {
-            points,
-            widths: layouts.widths(prim, "points", diagnostics),
-            primvars: layouts.primvars(prim, inherited, names, diagnostics),
-            double_sided: boolean(prim, "doubleSided", normals.is_some()),
-            normals,
-            type_name: prim.type_name.clone(),
-            center: local_origin(bounds.min.as_dvec3(), bounds.max.as_dvec3()),
-        })
+        let body = (prim, points, "points");
+        let body = Body::read(body, (inherited, names), &layouts, diagnostics);
+        Some(Self(body))
     }
 
     /// Spheres or disks in object space relative to the second value; spheres are about `depth` from the true ones at
@@ -94,23 +75,23 @@ impl<'a> PointSet<'a> {
             triangles: Vec::new(),
             triangle_faces: Vec::new(),
             normals: Normals::Flat,
-            primvars: self.primvars.iter().map(laid_out).collect(),
-            double_sided: self.double_sided,
-            closed: self.normals.is_none(),
+            primvars: self.0.primvars.iter().map(laid_out).collect(),
+            double_sided: self.0.double_sided,
+            closed: self.0.normals.is_none(),
             cage: None,
-            scheme: self.type_name.clone(),
+            scheme: self.0.type_name.clone(),
         };
         let mut normals = Vec::new();
-        match &self.normals {
+        match &self.0.normals {
             Some(of_points) => self.add_disks(of_points, (&mut mesh, &mut normals)),
             None => self.add_balls(depth, (&mut mesh, &mut normals)),
         }
         mesh.normals = Normals::Vertex(normals);
-        (mesh, self.center)
+        (mesh, self.0.center)
     }
 
     fn radius(&self, point: usize) -> f64 {
-        let width = match &self.widths {
+        let width = match &self.0.widths {
             Some(widths) => widths.values[widths.elements[element(widths, point)] as usize].x,
             None => DEFAULT_WIDTH,
         };
@@ -119,7 +100,7 @@ impl<'a> PointSet<'a> {
 
     /// Points that are drawn, with their radii.
     fn drawn(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let all = (0..self.points.len()).map(|point| (point, self.radius(point)));
+        let all = (0..self.0.points.len()).map(|point| (point, self.radius(point)));
         all.filter(|(_, radius)| *radius > 0.0)
     }
 
@@ -141,7 +122,7 @@ impl<'a> PointSet<'a> {
         for (point, radius) in self.drawn() {
             let ball = ball_of(radius, depth);
             let first = start(mesh, point, &ball.triangles);
-            let middle = self.points[point].as_dvec3() - self.center;
+            let middle = self.0.points[point].as_dvec3() - self.0.center;
             for (corner, direction) in &ball.corners {
                 mesh.positions.push((middle + *corner * radius).as_vec3());
                 normals.push(*direction);
@@ -162,7 +143,7 @@ impl<'a> PointSet<'a> {
             };
             let (across, along) = normal.any_orthonormal_pair();
             start(mesh, point, &fan);
-            let middle = self.points[point].as_dvec3() - self.center;
+            let middle = self.0.points[point].as_dvec3() - self.0.center;
             for corner in 0..DISK_CORNERS {
                 let (sine, cosine) = (angle * f64::from(corner)).sin_cos();
                 let arm = (across * cosine + along * sine) * (radius * stretch);

@@ -9,12 +9,10 @@ mod basis;
 mod strand;
 
 use super::super::super::raw::RawPrim;
-use super::attributes::{boolean, ints, vectors};
-use super::authored::local_origin;
-use super::layouts::{DEFAULT_WIDTH, Layouts};
+use super::attributes::{ints, vectors};
+use super::layouts::{Body, DEFAULT_WIDTH, Layouts};
 use super::primvars::{AuthoredPrimvar, Layout};
 use crate::diagnostics::Diagnostics;
-use crate::math::Bounds3;
 use crate::scene::{Interpolation, Mesh, Normals, Primvar};
 use basis::{Form, Order, Place};
 use glam::{DVec3, Vec3, Vec4};
@@ -39,16 +37,9 @@ const PIECE_DEPTH: f64 = 0.02;
 /// The curves of one prim, checked.
 #[derive(Debug)]
 pub(super) struct Curves<'a> {
-    points: &'a [Vec3],
+    body: Body<'a>,
     form: Form,
     curves: Vec<Curve>,
-    widths: Option<AuthoredPrimvar>,
-    normals: Option<AuthoredPrimvar>,
-    primvars: Vec<AuthoredPrimvar>,
-    double_sided: bool,
-    type_name: String,
-    /// Positions are relative to this.
-    center: DVec3,
 }
 
 /// One curve that can be drawn.
@@ -96,18 +87,11 @@ impl<'a> Curves<'a> {
             ));
         }
         let layouts = Layouts::of(counts.len(), points.len(), varying_total);
-        let bounds = Bounds3::around(points.iter().copied());
-        let normals = layouts.read(prim, "normals", diagnostics);
+        let body = (prim, points, "curves");
         Some(Self {
-            points,
+            body: Body::read(body, (inherited, names), &layouts, diagnostics),
             form,
             curves,
-            widths: layouts.widths(prim, "curves", diagnostics),
-            primvars: layouts.primvars(prim, inherited, names, diagnostics),
-            double_sided: boolean(prim, "doubleSided", normals.is_some()),
-            normals,
-            type_name: prim.type_name.clone(),
-            center: local_origin(bounds.min.as_dvec3(), bounds.max.as_dvec3()),
         })
     }
 
@@ -116,16 +100,16 @@ impl<'a> Curves<'a> {
     pub(super) fn tessellate(self, depth: f64) -> (Mesh, DVec3) {
         let plan = self.affordable_plan(depth);
         let mut strands = Strands::default();
-        let mut values: Vec<Vec<Vec4>> = vec![Vec::new(); self.primvars.len()];
+        let mut values: Vec<Vec<Vec4>> = vec![Vec::new(); self.body.primvars.len()];
         for (curve, shape) in self.curves.iter().zip(&plan.shapes) {
             let places = self.places(curve, shape.pieces);
             let stations: Vec<_> = places.iter().map(|&at| self.station(curve, at)).collect();
             let is_closed = self.form.wrap == basis::Wrap::Periodic;
-            let width = match self.normals {
+            let width = match self.body.normals {
                 Some(_) => strands.add_ribbon(&stations, is_closed, curve.number),
                 None => strands.add_tube(&stations, is_closed, (curve.number, shape.sides)),
             };
-            for (primvar, values) in self.primvars.iter().zip(&mut values) {
+            for (primvar, values) in self.body.primvars.iter().zip(&mut values) {
                 if spreads(primvar.layout) {
                     for &at in &places {
                         let value = self.value(primvar, curve, at);
@@ -134,13 +118,13 @@ impl<'a> Curves<'a> {
                 }
             }
         }
-        let is_closed = self.form.wrap == basis::Wrap::Periodic && self.normals.is_none();
-        let center = self.center;
+        let is_closed = self.form.wrap == basis::Wrap::Periodic && self.body.normals.is_none();
+        let center = self.body.center;
         (self.finish(strands, values, is_closed), center)
     }
 
     fn finish(self, strands: Strands, values: Vec<Vec<Vec4>>, closed: bool) -> Mesh {
-        let primvars = self.primvars.iter().zip(values);
+        let primvars = self.body.primvars.iter().zip(values);
         let primvars = primvars.map(|(primvar, values)| laid_out(primvar, values));
         Mesh {
             positions: strands.positions,
@@ -148,15 +132,15 @@ impl<'a> Curves<'a> {
             triangle_faces: strands.curves,
             normals: Normals::Vertex(strands.normals),
             primvars: primvars.collect(),
-            double_sided: self.double_sided,
+            double_sided: self.body.double_sided,
             closed,
             cage: None,
-            scheme: self.type_name,
+            scheme: self.body.type_name,
         }
     }
 
     fn largest_radius(&self) -> f64 {
-        let all = self.widths.iter().flat_map(|widths| &widths.values);
+        let all = self.body.widths.iter().flat_map(|widths| &widths.values);
         let largest = all.map(|value| value.x).reduce(f32::max);
         0.5 * f64::from(largest.unwrap_or(DEFAULT_WIDTH).max(0.0))
     }
@@ -191,7 +175,7 @@ impl<'a> Curves<'a> {
         };
         let shapes: Vec<Shape> = self.curves.iter().map(shape).collect();
         let sides = |shape: &Shape| {
-            if self.normals.is_some() {
+            if self.body.normals.is_some() {
                 1
             } else {
                 shape.sides
@@ -244,9 +228,9 @@ impl<'a> Curves<'a> {
     }
 
     fn station(&self, curve: &Curve, at: Place) -> Station {
-        let normals = self.normals.as_ref();
+        let normals = self.body.normals.as_ref();
         Station {
-            position: self.sum(curve, at, Order::Value) - self.center,
+            position: self.sum(curve, at, Order::Value) - self.body.center,
             tangent: match self.form.basis {
                 // the polyline's corners want more than one side's direction
                 basis::Basis::Linear => DVec3::ZERO,
@@ -258,7 +242,7 @@ impl<'a> Curves<'a> {
     }
 
     fn sum(&self, curve: &Curve, at: Place, order: Order) -> DVec3 {
-        let points = &self.points[curve.points.clone()];
+        let points = &self.body.points[curve.points.clone()];
         let weights = self.form.weights(points.len(), at, order);
         let weighted = weights
             .iter()
@@ -267,7 +251,7 @@ impl<'a> Curves<'a> {
     }
 
     fn radius(&self, curve: &Curve, at: Place) -> f64 {
-        let width = match &self.widths {
+        let width = match &self.body.widths {
             Some(widths) => self.value(widths, curve, at).x,
             None => DEFAULT_WIDTH,
         };
