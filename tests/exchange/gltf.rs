@@ -170,6 +170,16 @@ out['threshold'] = get(looks + 'surface', 'inputs:opacityThreshold')
 surface = UsdShade.Shader(stage.GetPrimAtPath(looks + 'surface'))
 out['sources'] = {n: surface.GetInput(n).GetConnectedSources()[0][0].sourceName for n in ['diffuseColor', 'opacity', 'metallic', 'roughness', 'occlusion']}
 out['unlit'] = get('/root/Looks/flat/surface', 'inputs:emissiveColor', 'inputs:diffuseColor', 'inputs:specularColor')
+def network(name):
+    surface, values = UsdShade.Shader(stage.GetPrimAtPath(f'/root/Looks/{name}/surface')), {}
+    for i in surface.GetInputs():
+        sources = i.GetConnectedSources()[0]
+        value = i.Get() if not sources else [sources[0].sourceName] + get(str(sources[0].source.GetPath()),
+            'inputs:sourceColorSpace', 'inputs:scale', 'inputs:bias')
+        values[i.GetBaseName()] = value if isinstance(value, (int, float)) else list(value)
+    return values
+out['coated'], out['glossy'] = network('coated'), network('glossy')
+out['moved coat'] = get('/root/Looks/coated/clearcoatRoughness_transform', 'inputs:scale')
 out['file'] = stage.GetPrimAtPath(looks + 'base_color').GetAttribute('inputs:file').Get().resolvedPath
 out['double'] = [UsdGeom.Mesh(stage.GetPrimAtPath(p)).GetDoubleSidedAttr().Get() for p in ['/root/moved_001/square', '/root/unlit/unlit']]
 print(json.dumps(out))
@@ -276,6 +286,24 @@ fn usd_core_reads_materials_and_textures_as_the_file_means_them() {
         "unlit",
         &serde_json::json!([[0.1, 0.6, 0.3], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
     );
+    assert_eq!(read["moved coat"], serde_json::json!([[2.0, 3.0]]));
+    for (key, values) in read["coated"].as_object().unwrap() {
+        let factor = |x: f32| serde_json::json!([x, x, x, x]);
+        let truth = match key.as_str() {
+            "clearcoat" => serde_json::json!(["r", "raw", factor(0.7), null]),
+            "clearcoatRoughness" => serde_json::json!(["g", "raw", factor(0.4), null]),
+            _ => continue,
+        };
+        assert_eq!(values, &truth);
+    }
+    let glossy = serde_json::json!({
+        "diffuseColor": [0.2_f32, 0.4_f32, 0.6_f32],
+        "opacity": 0.5,
+        "useSpecularWorkflow": 1,
+        "specularColor": ["rgb", "sRGB", [0.5, 0.25, 1.0, -0.75], [0.0, 0.0, 0.0, 1.0]],
+        "roughness": ["a", "sRGB", [0.5, 0.25, 1.0, -0.75], [0.0, 0.0, 0.0, 1.0]]
+    });
+    assert_eq!(read["glossy"], glossy);
     assert_eq!(read["double"], serde_json::json!([true, false]));
     // the packed image is beside it, byte for byte a PNG
     let image = fs::read(read["file"].as_str().unwrap()).unwrap();
@@ -337,6 +365,38 @@ fn usd_core_reads_lines_as_the_file_connects_them() {
     }
 }
 
+/// What the file may leave out: bounds of accessors, nodes of a scene, what kind of image a view holds, the image of a texture.
+#[test]
+fn what_may_be_left_out_is_no_flaw() {
+    let folder = tempfile::tempdir().unwrap();
+    let (from, to) = (
+        sample(folder.path(), "s.gltf"),
+        folder.path().join("s.usda"),
+    );
+    let mut root: Json = serde_json::from_slice(&fs::read(&from).unwrap()).unwrap();
+    let prims = convert(&from, &to, &[])["counts"]["prims"].clone();
+    for accessor in root["accessors"].as_array_mut().unwrap() {
+        let accessor = accessor.as_object_mut().unwrap();
+        accessor.retain(|key, _| key != "min" && key != "max");
+    }
+    let scenes = root["scenes"].as_array_mut().unwrap();
+    scenes.push(serde_json::json!({"name": "nothing"}));
+    root["images"][0]
+        .as_object_mut()
+        .unwrap()
+        .remove("mimeType");
+    root["textures"]
+        .as_array_mut()
+        .unwrap()
+        .push(Json::from(serde_json::Map::<String, Json>::default()));
+    root["materials"][2]["normalTexture"]["index"] = Json::from(1);
+    fs::write(&from, root.to_string()).unwrap();
+    let report = convert(&from, &to, &[]);
+    assert_eq!(report["counts"]["prims"], prims);
+    assert_eq!(report["outputs"].as_array().unwrap().len(), 2);
+    assert!(report["warnings"].to_string().contains("texture 1 has no"));
+}
+
 #[test]
 fn damaged_files_are_errors_and_write_nothing() {
     let folder = tempfile::tempdir().unwrap();
@@ -345,6 +405,8 @@ fn damaged_files_are_errors_and_write_nothing() {
     must_fail("a.glb", b"", "JSON");
     must_fail("a.glb", &glb[..11], "GLB");
     must_fail("a.glb", &glb[..glb.len() / 2], "GLB");
+    must_fail("a.glb", b"glTF\x01\0\0\0\x20\0\0\0", "glTF 1.0");
+    must_fail("a.gltf", b"{\"nodes\": {\"box\": {}}}", "glTF 1.0");
     must_fail("a.gltf", b"{\"asset\": {\"version\": \"2.0\"}, \"nodes\": [{\"children\": [1]}, {\"children\": [0]}], \
         \"scenes\": [{\"nodes\": [0]}]}", "below itself");
     must_fail("a.gltf", b"{\"asset\": {\"version\": \"2.0\"}, \"extensionsRequired\": [\"KHR_draco_mesh_compression\"]}", "draco");
@@ -362,6 +424,16 @@ fn damaged_files_are_errors_and_write_nothing() {
         "a.gltf",
         &changed("\"count\": 4", "\"count\": 3"),
         "are needed",
+    );
+    must_fail(
+        "a.gltf",
+        &changed("\"type\": \"perspective\"", "\"type\": \"orthographic\""),
+        "no lens",
+    );
+    must_fail(
+        "a.gltf",
+        &changed("\"images\": [{", "\"images\": [{}, {"),
+        "neither uri nor",
     );
     must_fail("a.gltf", &changed("\"mesh\": 0", "\"mesh\": 99"), "valid");
     must_fail(

@@ -70,10 +70,10 @@ transform = {"KHR_texture_transform": {"offset": [0.25, 0.5], "rotation": 0.5, "
 gltf = {
     "asset": {"version": "2.0"},
     "extensionsUsed": ["KHR_lights_punctual", "KHR_texture_transform", "KHR_materials_emissive_strength", "KHR_materials_ior",
-                       "KHR_materials_clearcoat", "KHR_materials_unlit", "EXT_mesh_gpu_instancing"],
+                       "KHR_materials_clearcoat", "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness", "EXT_mesh_gpu_instancing"],
     "extensionsRequired": ["EXT_mesh_gpu_instancing"],
     "scene": 0,
-    "scenes": [{"nodes": [0, 3, 4, 5, 6, 7, 8, 9, 10, 11]}],
+    "scenes": [{"nodes": [0, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13]}],
     "nodes": [
         {"name": "moved.001", "translation": [1, 2, 3], "rotation": [0, half, 0, half], "scale": [1, 2, 0.5], "mesh": 0, "children": [1, 2]},
         {"name": "strip", "translation": [0, 1, 0], "mesh": 1},
@@ -88,6 +88,8 @@ gltf = {
         {"name": "spot", "translation": [0, 6, 0], "extensions": {"KHR_lights_punctual": {"light": 1}}},
         {"name": "sun", "extensions": {"KHR_lights_punctual": {"light": 2}}},
         {"name": "unlit", "translation": [0, 0, -10], "mesh": 6},
+        {"name": "coated", "translation": [0, 0, -20], "mesh": 7},
+        {"name": "glossy", "translation": [0, 0, -30], "mesh": 8},
     ],
     "meshes": [
         mesh("square", {"attributes": {"POSITION": P, "NORMAL": N, "TEXCOORD_0": UV, "COLOR_0": C}, "indices": I, "material": 0}),
@@ -97,6 +99,8 @@ gltf = {
         mesh("twin", {"attributes": {"POSITION": P, "NORMAL": N, "TEXCOORD_0": UV}, "indices": I, "material": 2}),
         mesh("leaf", {"attributes": {"POSITION": P, "NORMAL": N}, "indices": I, "material": 1}),
         mesh("unlit", {"attributes": {"POSITION": P, "NORMAL": N}, "indices": I, "material": 3}),
+        mesh("coated", {"attributes": {"POSITION": P, "NORMAL": N, "TEXCOORD_0": UV}, "indices": I, "material": 4}),
+        mesh("glossy", {"attributes": {"POSITION": P, "NORMAL": N, "TEXCOORD_0": UV}, "indices": I, "material": 5}),
     ],
     "materials": [
         {"name": "painted", "pbrMetallicRoughness": {"metallicFactor": 0.25, "roughnessFactor": 0.75}, "doubleSided": True},
@@ -108,6 +112,10 @@ gltf = {
                                   "metallicRoughnessTexture": info(), "metallicFactor": 0.9, "roughnessFactor": 0.8},
          "normalTexture": info(scale=0.5), "occlusionTexture": info(strength=0.6), "emissiveTexture": info(), "emissiveFactor": [1, 1, 1]},
         {"name": "flat", "pbrMetallicRoughness": {"baseColorFactor": [0.1, 0.6, 0.3, 1]}, "extensions": {"KHR_materials_unlit": {}}},
+        {"name": "coated", "extensions": {"KHR_materials_clearcoat": {"clearcoatFactor": 0.7, "clearcoatTexture": info(),
+         "clearcoatRoughnessFactor": 0.4, "clearcoatRoughnessTexture": info(extensions=transform)}}},
+        {"name": "glossy", "extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [0.2, 0.4, 0.6, 0.5],
+         "specularFactor": [0.5, 0.25, 1], "glossinessFactor": 0.75, "specularGlossinessTexture": info()}}, "alphaMode": "BLEND"},
     ],
     "textures": [{"source": 0, "sampler": 0}],
     "samplers": [{"wrapS": 33071, "wrapT": 33648}],

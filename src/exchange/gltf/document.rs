@@ -1,30 +1,12 @@
 //! A glTF file with its buffers, checked.
 
+use super::check;
 use crate::diagnostics::Diagnostics;
 use crate::exchange::{Error, malformed, read_file};
 use crate::writers::from_base64;
 use serde_json::Value;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
-
-/// Extensions that may be required: what they mean is done here, or is told as lost.
-const KNOWN: [&str; 8] = [
-    "EXT_mesh_gpu_instancing",
-    "KHR_lights_punctual",
-    "KHR_materials_clearcoat",
-    "KHR_materials_emissive_strength",
-    "KHR_materials_ior",
-    "KHR_materials_unlit",
-    "KHR_mesh_quantization",
-    "KHR_texture_transform",
-];
-
-/// Ways of packing that nothing can be read without.
-const PACKED: [&str; 3] = [
-    "KHR_draco_mesh_compression",
-    "EXT_meshopt_compression",
-    "KHR_texture_basisu",
-];
 
 /// A file as read.
 pub(super) struct Document {
@@ -43,11 +25,13 @@ impl Document {
         let (text, blob) = split(&bytes).map_err(&malformed)?;
         let mut value: Value = serde_json::from_slice(&text)
             .map_err(|error| malformed(format!("its JSON is damaged: {error}")))?;
-        check_required(&mut value, path, diagnostics).map_err(&malformed)?;
+        check::version(&value).map_err(&malformed)?;
+        check::required(&mut value, path, diagnostics).map_err(&malformed)?;
+        check::complete(&mut value);
         let root: gltf::json::Root = serde_json::from_value(value)
             .map_err(|error| malformed(format!("it is no glTF 2.0: {error}")))?;
-        let gltf = gltf::Document::from_json(root)
-            .map_err(|error| malformed(format!("it is no valid glTF 2.0: {error}")))?;
+        check::valid(&root).map_err(&malformed)?;
+        let gltf = gltf::Document::from_json_without_validation(root);
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
         let buffers = buffers(&gltf, blob, &folder).map_err(&malformed)?;
         Ok(Self {
@@ -83,30 +67,12 @@ fn split(bytes: &[u8]) -> Result<Parts<'_>, String> {
     if !bytes.starts_with(b"glTF") {
         return Ok((Cow::Borrowed(bytes), None));
     }
+    if bytes.get(4..8) == Some(&1_u32.to_le_bytes()) {
+        return Err(check::OLD.to_owned());
+    }
     let glb = gltf::binary::Glb::from_slice(bytes);
     let glb = glb.map_err(|error| format!("it is no complete GLB: {error}"))?;
     Ok((glb.json, glb.bin))
-}
-
-/// Refuse what cannot be read; take known extensions out of the list, which the crate knows fewer of.
-fn check_required(root: &mut Value, path: &Path, diagnostics: &Diagnostics) -> Result<(), String> {
-    let Some(Value::Array(required)) = root.get_mut("extensionsRequired") else {
-        return Ok(());
-    };
-    for name in required.iter().filter_map(Value::as_str) {
-        if PACKED.contains(&name) {
-            return Err(format!(
-                "it needs {name}, which is not unpacked here (export it without)"
-            ));
-        }
-        if !KNOWN.contains(&name) {
-            let message =
-                format!("it requires {name}, which is not known here: what that holds is lost");
-            diagnostics.warn("lost", path.to_string_lossy(), message);
-        }
-    }
-    required.clear();
-    Ok(())
 }
 
 fn buffers(

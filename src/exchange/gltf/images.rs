@@ -56,7 +56,14 @@ impl Images<'_> {
         texture: &gltf::Texture<'_>,
         (place, diagnostics): (&str, &Diagnostics),
     ) -> Result<Option<String>, Error> {
-        let image = texture.source();
+        let Some(image) = texture.source() else {
+            let message = format!(
+                "texture {} has no PNG or JPEG image: it is left out",
+                texture.index()
+            );
+            diagnostics.warn("lost", place, message);
+            return Ok(None);
+        };
         if let Some(asset) = self.assets.get(&image.index()) {
             return Ok(asset.clone());
         }

@@ -1,5 +1,8 @@
 //! Materials → UsdPreviewSurface networks.
 
+mod extensions;
+mod read;
+
 use super::document::Document;
 use super::images::Images;
 use super::meshes::coordinates_name;
@@ -7,15 +10,16 @@ use super::nodes::Names;
 use crate::diagnostics::Diagnostics;
 use crate::exchange::Error;
 use crate::writers::usd::author::{Author, Data};
-use glam::{Vec2, Vec3, Vec4};
+use extensions::SpecularGlossiness;
+use glam::{Vec3, Vec4};
 use gltf::Material;
 use gltf::material::AlphaMode;
 use gltf::texture::WrappingMode;
-use serde_json::Value;
+use read::{Read, Transform};
 use std::collections::BTreeMap;
 
 /// Extensions of materials that UsdPreviewSurface has no word for.
-const LOST: [(&str, &str); 8] = [
+const LOST: [(&str, &str); 7] = [
     ("KHR_materials_transmission", "transmission: it is opaque"),
     ("KHR_materials_volume", "volume"),
     ("KHR_materials_sheen", "sheen"),
@@ -25,10 +29,6 @@ const LOST: [(&str, &str); 8] = [
     (
         "KHR_materials_specular",
         "specular: it reflects as its ior says",
-    ),
-    (
-        "KHR_materials_pbrSpecularGlossiness",
-        "specular and glossiness",
     ),
 ];
 
@@ -42,10 +42,11 @@ pub(super) struct Looks {
 impl Looks {
     /// Path of `material` for a mesh with or without vertex colors.
     pub(super) fn path_of(&mut self, material: &Material<'_>, has_colors: bool) -> String {
-        let has_texture = material
-            .pbr_metallic_roughness()
-            .base_color_texture()
-            .is_some();
+        let pbr = material.pbr_metallic_roughness();
+        let has_texture = match SpecularGlossiness::of(material) {
+            Some(told) => told.diffuse_texture().is_some(),
+            None => pbr.base_color_texture().is_some(),
+        };
         let reads_colors = has_colors && !has_texture;
         let key = (material.index(), reads_colors);
         if let Some(name) = self.used.get(&key) {
@@ -85,7 +86,7 @@ impl Looks {
                 images: &mut *images,
                 diagnostics,
             };
-            look.write(material.as_ref(), reads_colors)?;
+            look.write((&document.gltf, material.as_ref()), reads_colors)?;
         }
         Ok(())
     }
@@ -99,96 +100,12 @@ struct Look<'a, 'd> {
     diagnostics: &'a Diagnostics,
 }
 
-/// A texture with how it is read.
-struct Read<'a> {
-    texture: gltf::Texture<'a>,
-    set: u32,
-    transform: Transform,
-    is_color: bool,
-    scale: Vec4,
-    bias: Vec4,
-}
-
-/// `KHR_texture_transform`, as glTF has it: v downwards.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Transform {
-    offset: Vec2,
-    rotation: f32,
-    scale: Vec2,
-}
-
-impl Transform {
-    const NONE: Self = Self {
-        offset: Vec2::ZERO,
-        rotation: 0.0,
-        scale: Vec2::ONE,
-    };
-
-    /// Scale, rotation (degrees) and translation of a `UsdTransform2d`, whose v points up: with t = 1 − v both ways,
-    /// u' = cos su u + sin sv v + ou and v' = −sin su u + cos sv v + ov become a turn by the same angle.
-    fn upright(&self) -> (Vec2, f32, Vec2) {
-        let (sin, cos) = self.rotation.sin_cos();
-        let translation = Vec2::new(
-            self.offset.x + sin * self.scale.y,
-            1.0 - self.offset.y - cos * self.scale.y,
-        );
-        (self.scale, self.rotation.to_degrees(), translation)
-    }
-
-    /// From the extension's JSON, for textures that the crate does not tell of.
-    fn of_json(value: &Value) -> (Self, Option<u32>) {
-        let number = |value: &Value| value.as_f64().map(single);
-        let pair = |key: &str, default: Vec2| {
-            let list = value.get(key).and_then(Value::as_array);
-            let pair = list.and_then(|l| Some(Vec2::new(number(l.first()?)?, number(l.get(1)?)?)));
-            pair.unwrap_or(default)
-        };
-        let set = value.get("texCoord").and_then(Value::as_u64);
-        let transform = Self {
-            offset: pair("offset", Vec2::ZERO),
-            rotation: value.get("rotation").and_then(number).unwrap_or(0.0),
-            scale: pair("scale", Vec2::ONE),
-        };
-        (transform, set.and_then(|set| u32::try_from(set).ok()))
-    }
-}
-
-impl<'a> Read<'a> {
-    fn new(
-        texture: gltf::Texture<'a>,
-        set: u32,
-        extension: Option<&Value>,
-        (scale, bias): (Vec4, Vec4),
-    ) -> Self {
-        let (transform, other) = extension.map_or((Transform::NONE, None), Transform::of_json);
-        Self {
-            texture,
-            set: other.unwrap_or(set),
-            transform,
-            is_color: false,
-            scale,
-            bias,
-        }
-    }
-
-    /// A texture of numbers or colors times `factor`.
-    fn of(info: &gltf::texture::Info<'a>, factor: Vec4, is_color: bool) -> Self {
-        let mut read = Self::new(info.texture(), info.tex_coord(), None, (factor, Vec4::ZERO));
-        read.is_color = is_color;
-        if let Some(transform) = info.texture_transform() {
-            read.transform = Transform {
-                offset: Vec2::from_array(transform.offset()),
-                rotation: transform.rotation(),
-                scale: Vec2::from_array(transform.scale()),
-            };
-            read.set = transform.tex_coord().unwrap_or(read.set);
-        }
-        read
-    }
-}
-
 impl Look<'_, '_> {
-    fn write(&mut self, material: Option<&Material<'_>>, reads_colors: bool) -> Result<(), Error> {
+    fn write(
+        &mut self,
+        (document, material): (&gltf::Document, Option<&Material<'_>>),
+        reads_colors: bool,
+    ) -> Result<(), Error> {
         let path = self.path.clone();
         self.author.define(&path, "Material")?;
         let surface = format!("{path}/surface");
@@ -203,12 +120,16 @@ impl Look<'_, '_> {
             self.number("metallic", 1.0)?;
             return self.number("roughness", 1.0);
         };
-        self.base(material, reads_colors)?;
+        let specular = SpecularGlossiness::of(material).filter(|_| !material.unlit());
+        self.base((document, material), specular.as_ref(), reads_colors)?;
         if !material.unlit() {
-            self.metal(material)?;
+            match &specular {
+                Some(specular) => self.specular(document, specular)?,
+                None => self.metal(material)?,
+            }
             self.relief(material)?;
             self.emission(material)?;
-            self.coat(material)?;
+            self.coat(document, material)?;
             if let Some(ior) = material.ior() {
                 self.number("ior", ior)?;
             }
@@ -259,9 +180,17 @@ impl Look<'_, '_> {
     }
 
     /// Base color and opacity; of unlit materials as emission.
-    fn base(&mut self, material: &Material<'_>, reads_colors: bool) -> Result<(), Error> {
+    fn base(
+        &mut self,
+        (document, material): (&gltf::Document, &Material<'_>),
+        specular: Option<&SpecularGlossiness<'_>>,
+        reads_colors: bool,
+    ) -> Result<(), Error> {
         let pbr = material.pbr_metallic_roughness();
-        let factor = Vec4::from_array(pbr.base_color_factor());
+        let factor = match specular {
+            Some(told) => told.diffuse_factor(),
+            None => Vec4::from_array(pbr.base_color_factor()),
+        };
         let input = if material.unlit() {
             "emissiveColor"
         } else {
@@ -277,9 +206,12 @@ impl Look<'_, '_> {
             self.vector("specularColor", Vec3::ZERO, false)?;
             self.number("roughness", 1.0)?;
         }
-        let texture = pbr
-            .base_color_texture()
-            .map(|info| Read::of(&info, factor, true));
+        let texture = match specular {
+            Some(told) => (told.diffuse_texture())
+                .and_then(|info| self.named(document, info, (factor, Vec4::ZERO)))
+                .map(Read::color),
+            None => (pbr.base_color_texture()).map(|info| Read::of(&info, factor).color()),
+        };
         match &texture {
             Some(read) => {
                 self.texture("base_color", read, &["rgb", "a"])?;
@@ -308,11 +240,7 @@ impl Look<'_, '_> {
             return self.number("roughness", roughness);
         };
         let factor = Vec4::new(1.0, roughness, metallic, 1.0);
-        self.texture(
-            "metallic_roughness",
-            &Read::of(&info, factor, false),
-            &["b", "g"],
-        )?;
+        self.texture("metallic_roughness", &Read::of(&info, factor), &["b", "g"])?;
         self.take("metallic", "float", "metallic_roughness", "b")?;
         self.take("roughness", "float", "metallic_roughness", "g")
     }
@@ -363,7 +291,7 @@ impl Look<'_, '_> {
             Some(info) if factor != Vec3::ZERO => {
                 self.texture(
                     "emissive",
-                    &Read::of(&info, factor.extend(1.0), true),
+                    &Read::of(&info, factor.extend(1.0)).color(),
                     &["rgb"],
                 )?;
                 self.take("emissiveColor", "color3f", "emissive", "rgb")
@@ -371,30 +299,6 @@ impl Look<'_, '_> {
             _ if factor != Vec3::ZERO => self.vector("emissiveColor", factor, false),
             _ => Ok(()),
         }
-    }
-
-    fn coat(&mut self, material: &Material<'_>) -> Result<(), Error> {
-        let Some(coat) = material.extension_value("KHR_materials_clearcoat") else {
-            return Ok(());
-        };
-        let number = |key: &str| coat.get(key).and_then(Value::as_f64).map_or(0.0, single);
-        let (coat_factor, roughness) = (
-            number("clearcoatFactor"),
-            number("clearcoatRoughnessFactor"),
-        );
-        self.number("clearcoat", coat_factor)?;
-        self.number("clearcoatRoughness", roughness)?;
-        let textures = [
-            "clearcoatTexture",
-            "clearcoatRoughnessTexture",
-            "clearcoatNormalTexture",
-        ];
-        if textures.iter().any(|key| coat.get(key).is_some()) {
-            let message =
-                "KHR_materials_clearcoat: its textures are left out, its factors hold everywhere";
-            self.diagnostics.warn("lost", self.path.clone(), message);
-        }
-        Ok(())
     }
 
     /// Connect `input` of the surface to an output of the texture `name`.
@@ -483,40 +387,5 @@ impl Look<'_, '_> {
         )?;
         author.output(&path, ("outputs:result", "float2"))?;
         Ok(format!("{path}.outputs:result"))
-    }
-}
-
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "materials are single precision"
-)]
-fn single(value: f64) -> f32 {
-    value as f32
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_transform_upright_moves_points_as_one_upside_down() {
-        let transform = Transform {
-            offset: Vec2::new(0.3, -0.2),
-            rotation: 0.7,
-            scale: Vec2::new(2.0, 0.5),
-        };
-        let (sin, cos) = transform.rotation.sin_cos();
-        let (scale, degrees, translation) = transform.upright();
-        let turn = glam::Mat2::from_angle(degrees.to_radians());
-        for uv in [Vec2::ZERO, Vec2::new(0.25, 0.75), Vec2::new(1.0, -3.0)] {
-            let scaled = uv * transform.scale;
-            let moved = Vec2::new(
-                cos * scaled.x + sin * scaled.y,
-                cos * scaled.y - sin * scaled.x,
-            );
-            let moved = moved + transform.offset;
-            let upright = turn * (Vec2::new(uv.x, 1.0 - uv.y) * scale) + translation;
-            assert!((Vec2::new(upright.x, 1.0 - upright.y) - moved).length() < 1e-5);
-        }
     }
 }

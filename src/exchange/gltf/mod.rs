@@ -29,6 +29,7 @@
 //! What is lost is a warning.
 
 mod accessor;
+mod check;
 mod document;
 mod images;
 mod lines;
