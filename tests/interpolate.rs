@@ -6,12 +6,13 @@ mod scenes;
 
 use glam::Vec3;
 use scenes::{SceneBuilder, Side, ball_in_a_box, bowl, plate, receivers_in};
+use std::cell::Cell;
 use std::f32::consts::PI;
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::diagnostics::Diagnostics;
 use surflux::gather::rays::lobe::Lobes;
 use surflux::gather::{
-    DicedSurfels, GatherScene, RadianceSource, RaysEngine, RaysSettings, gather,
+    DicedSurfels, Engine, GatherScene, RadianceSource, RaysEngine, RaysSettings, gather,
 };
 use surflux::interpolate::{self, Gathering, InterpolateSettings, Interpolated};
 use surflux::lighting::{LightSamples, Lighting};
@@ -61,6 +62,7 @@ struct Run<'a> {
     scene: &'a Scene,
     tracer: &'a Tracer,
     engine: &'a RaysEngine<'a>,
+    again: Option<&'a RaysEngine<'a>>,
     receivers: &'a Receivers,
     aovs: &'a [Aov],
 }
@@ -80,6 +82,7 @@ impl Run<'_> {
         let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
         let kinds = self.engine.kinds(self.receivers);
         let gathering = Gathering {
+            again: self.again.map(|again| again as &dyn Engine),
             scene: self.scene(&shader, &lighting),
             engine: self.engine,
             receivers: self.receivers,
@@ -127,6 +130,7 @@ fn few_receivers_tell_as_much_as_all_of_them() {
         scene: &scene,
         tracer: &tracer,
         engine,
+        again: None,
         receivers: &receivers,
         aovs: &[Aov::IrradianceIndirect, Aov::Visibility],
     };
@@ -162,15 +166,17 @@ fn few_receivers_tell_as_much_as_all_of_them() {
     }
 }
 
-/// Reflected light at every `step`-th receiver on the walls, by 64 rays.
+/// Reflected light at every `step`-th receiver on the walls, by 64 rays, and 64 others.
 fn with_walls(step: usize, check: impl FnOnce(Run<'_>)) {
     let scene = ball_in_a_box(48);
     let tracer = Tracer::new(&scene);
     let baked = spots(&scene, &tracer);
+    let engine = |settings| RaysEngine::new(&tracer, Some(source(&baked)), settings);
     check(Run {
         scene: &scene,
         tracer: &tracer,
-        engine: &RaysEngine::new(&tracer, Some(source(&baked)), rays(64, 0.0)),
+        engine: &engine(rays(64, 0.0)),
+        again: Some(&engine(rays(64, 0.0).again())),
         receivers: &receivers_in(&scene, PrimId(0), step),
         aovs: &[Aov::IrradianceIndirect],
     });
@@ -197,6 +203,41 @@ fn what_is_refused_is_gathered_at_every_receiver() {
         let whole = run.whole();
         let [a, b] = [&found.results, &whole].map(|all| values(all, Aov::IrradianceIndirect));
         assert!(a == b, "{}", relative_rmse(a, b));
+    });
+}
+
+/// Results that are refused however smooth their cells are: every seed looks once more, in other directions, and no other
+/// receiver has to.
+#[test]
+fn what_is_refused_is_first_looked_at_again() {
+    with_walls(1, |run| {
+        let accepting = |offer: usize| {
+            let offers = Cell::new(0);
+            let found = run.interpolated(0.1, &|_| offers.replace(offers.get() + 1) + 1 == offer);
+            assert!(offers.get() == offer && !found.is_refused);
+            found
+        };
+        // Twice cells are made smoother first.
+        let (once, twice) = (accepting(2), accepting(3));
+        assert!(
+            2 * twice.gathered < run.receivers.len(),
+            "{}",
+            twice.gathered
+        );
+        let baked = spots(run.scene, run.tracer);
+        let finer = RaysEngine::new(run.tracer, Some(source(&baked)), rays(2048, 0.7));
+        let truth = Run {
+            engine: &finer,
+            ..run
+        }
+        .whole();
+        let error = |found: &Interpolated| {
+            let [found, truth] =
+                [&found.results, &truth].map(|it| values(it, Aov::IrradianceIndirect));
+            relative_rmse(found, truth)
+        };
+        let (once, twice) = (error(&once), error(&twice));
+        assert!(twice < 0.85 * once, "{twice} {once}");
     });
 }
 
@@ -231,6 +272,7 @@ fn with_gloss(count: u32, check: impl FnOnce(Run<'_>)) {
         scene: &scene,
         tracer: &tracer,
         engine: &engine.of_lobes(lobes, settings),
+        again: None,
         receivers: &receivers,
         aovs: &[Aov::SpecularIndirect],
     });
@@ -289,6 +331,7 @@ fn the_sides_of_thin_walls_do_not_speak_for_each_other() {
         scene: &scene,
         tracer: &tracer,
         engine: &engine,
+        again: None,
         receivers: &receivers,
         aovs: &[
             Aov::Occlusion,
@@ -370,6 +413,7 @@ fn parts_add_up() {
         scene: &scene,
         tracer: &tracer,
         engine: &engine,
+        again: None,
         receivers: &receivers,
         aovs: &aovs,
     };

@@ -1,9 +1,9 @@
 //! Cells → seeds, as many as what they see asks for.
 
 use super::cells::{Cells, halves};
-use super::room;
-use super::seeds::{SeedIndex, Seeds};
-use super::{Work, base};
+use super::room::Room;
+use super::seeds::Seeds;
+use super::{Fault, Kind, Work, base};
 use crate::diagnostics::Cancelled;
 use crate::receivers::Receivers;
 use glam::Vec3;
@@ -23,82 +23,142 @@ pub(super) struct Cell {
 pub(super) struct Field {
     pub(super) cells: Cells,
     pub(super) seeds: Seeds,
-    /// Cells whose other receivers are to be blended.
+    /// Cells whose other receivers are to be blended, of more than one receiver once they are grown.
     pub(super) smooth: Vec<Cell>,
     /// See [`Work::scales`].
     pub(super) scales: Vec<Option<f64>>,
+    /// Blended receivers that were gathered at to see whether their values are true; they keep these.
+    pub(super) checked: usize,
 }
 
-/// What a seed's neighbors foretell may be off by this much of the tolerance. They are twice as far away as the seed is from
-/// what it speaks for, where errors are a quarter: in a Cornell box 1 to 5 times the tolerance add no error to that of rays.
-const ROUGH: f64 = 1.5;
+/// How much a cell may differ from its neighbors and still be smooth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Strictness {
+    /// What a seed's neighbors foretell may be off by this much of the tolerance. They are twice as far away as the seed is
+    /// from what it speaks for, where errors are a quarter: in a Cornell box 1 to 5 times the tolerance add no error to that
+    /// of rays.
+    rough: f64,
+    /// What is near enough to make a cell crowded, and how bent it may be.
+    pub(super) room: Room,
+}
+
+impl Strictness {
+    /// What is enough in most runs. With two and a half times the room and the bend two teapots in a box take 0.8 of the time
+    /// and are a tenth farther off, but rough gloss is twice as far off.
+    pub(super) const FIRST: Self = Self {
+        rough: 1.5,
+        room: Room {
+            crowded: 0.1,
+            bent: 0.2,
+        },
+    };
+
+    /// Where it is not: errors are half of those, since they grow with the square of the distance.
+    pub(super) const SECOND: Self = Self {
+        rough: 0.75,
+        room: Room {
+            crowded: 0.07,
+            bent: 0.14,
+        },
+    };
+}
+
+impl Field {
+    /// Take those cells out of the smooth ones that have this `fault`, each of the `kind` of its seed.
+    pub(super) fn take_faulty(&mut self, fault: &Fault, kind: &dyn Fn(u32) -> Kind) -> Vec<Cell> {
+        let seeds = &self.seeds.receiver;
+        let is_faulty = |cell: &Cell| fault.holds(kind(seeds[cell.seed as usize]));
+        let (faulty, smooth) = std::mem::take(&mut self.smooth)
+            .into_iter()
+            .partition(is_faulty);
+        self.smooth = smooth;
+        faulty
+    }
+}
+
+/// A run of receivers, and the seed it has already.
+type Part = (Range<usize>, Option<u32>);
 
 impl Work<'_> {
-    /// Gather at seeds until all cells are smooth or have one receiver.
-    pub(super) fn grow(&self) -> Result<Field, Cancelled> {
-        let receivers = self.gathering.receivers;
-        let cells = Cells::new(receivers, &|i| self.gathering.kind(i as usize));
+    /// Gather at one seed in each of the largest cells.
+    pub(super) fn plant(&self) -> Result<Field, Cancelled> {
+        let cells = Cells::new(self.gathering.receivers, &|i| {
+            self.gathering.kind(i as usize)
+        });
         let mut seeds = Seeds::new(self.components());
         self.sow(&mut seeds, &cells.alone)?;
-        let (mut smooth, mut scales) = (Vec::new(), None);
-        let mut parts: Vec<(Range<usize>, Option<u32>)> = cells
-            .largest
-            .iter()
-            .map(|run| (run.clone(), None))
-            .collect();
-        while !parts.is_empty() {
-            let picked: Vec<u32> = (parts.par_iter())
-                .filter(|(_, seed)| seed.is_none())
-                .map(|(run, _)| middle(receivers, &cells.order[run.clone()]))
-                .collect();
-            let mut next = seeds.next();
-            self.sow(&mut seeds, &picked)?;
-            let cell = |(run, seed): (Range<usize>, Option<u32>)| Cell {
-                run,
-                seed: seed.unwrap_or_else(|| next.next().expect("every cell has a seed")),
-            };
-            let whole: Vec<Cell> = parts.drain(..).map(cell).collect();
-            let scales = match &mut scales {
-                Some(known) => known,
-                unknown => unknown.insert(self.scales(&seeds)?),
-            };
-            let is_rough = self.rough(&seeds.index(), (&cells.order, &whole), scales);
-            for (cell, is_rough) in whole.into_iter().zip(is_rough) {
-                if is_rough {
-                    parts.extend(quarters(&cells, &seeds, &cell));
-                } else if cell.run.len() > 1 {
-                    smooth.push(cell);
-                }
-            }
-        }
+        let largest = cells.largest.iter().map(|run| (run.clone(), None));
+        let smooth = self.sow_parts((&cells, &mut seeds), largest.collect())?;
+        let scales = self.scales(&seeds)?;
         Ok(Field {
             cells,
             seeds,
             smooth,
-            scales: scales.unwrap_or_default(),
+            scales,
+            checked: 0,
         })
     }
 
-    /// Which of `cells`, runs of `order`, have to be cut.
-    fn rough(
+    /// Cut those cells of `field` that have this `fault`, and their parts, until all of them are smooth or have one receiver.
+    pub(super) fn grow(
         &self,
-        index: &SeedIndex<'_>,
-        (order, cells): (&[u32], &[Cell]),
-        scales: &[Option<f64>],
-    ) -> Vec<bool> {
-        let limit = ROUGH * self.settings.tolerance;
+        field: &mut Field,
+        strictness: Strictness,
+        fault: &Fault,
+    ) -> Result<(), Cancelled> {
+        let mut cells = field.take_faulty(fault, &|i| self.gathering.kind(i as usize));
+        while !cells.is_empty() {
+            let is_rough = self.rough(field, &cells, strictness);
+            let mut parts = Vec::new();
+            for (cell, is_rough) in cells.into_iter().zip(is_rough) {
+                if is_rough {
+                    parts.extend(quarters(&field.cells, &field.seeds, &cell));
+                } else if cell.run.len() > 1 {
+                    field.smooth.push(cell);
+                }
+            }
+            cells = self.sow_parts((&field.cells, &mut field.seeds), parts)?;
+        }
+        Ok(())
+    }
+
+    /// Give those of `parts` a seed that have none.
+    fn sow_parts(
+        &self,
+        (cells, seeds): (&Cells, &mut Seeds),
+        parts: Vec<Part>,
+    ) -> Result<Vec<Cell>, Cancelled> {
+        let receivers = self.gathering.receivers;
+        let picked: Vec<u32> = (parts.par_iter())
+            .filter(|(_, seed)| seed.is_none())
+            .map(|(run, _)| middle(receivers, &cells.order[run.clone()]))
+            .collect();
+        let mut next = seeds.next();
+        self.sow(seeds, &picked)?;
+        let cell = |(run, seed): Part| Cell {
+            run,
+            seed: seed.unwrap_or_else(|| next.next().expect("every cell has a seed")),
+        };
+        Ok(parts.into_iter().map(cell).collect())
+    }
+
+    /// Which of `cells` have to be cut.
+    fn rough(&self, field: &Field, cells: &[Cell], strictness: Strictness) -> Vec<bool> {
+        let limit = strictness.rough * self.settings.tolerance;
         let (receivers, tracer) = (self.gathering.receivers, self.gathering.scene.tracer);
+        let index = field.seeds.index();
         let is_rough = |cell: &Cell| {
             if cell.run.len() == 1 {
                 return false;
             }
-            let own = index.seeds.receiver[cell.seed as usize];
+            let own = field.seeds.receiver[cell.seed as usize];
             let is_foretold = || {
-                index
-                    .fit(cell.seed)
-                    .is_some_and(|fit| base::relative(self.base, &fit.surprise, scales) <= limit)
+                (index.fit(cell.seed)).is_some_and(|fit| {
+                    base::relative(self.base, &fit.surprise, &field.scales) <= limit
+                })
             };
-            room::is_crowded(tracer, receivers, &order[cell.run.clone()], own) || !is_foretold()
+            let run = &field.cells.order[cell.run.clone()];
+            strictness.room.is_crowded(tracer, receivers, run, own) || !is_foretold()
         };
         cells.par_iter().map(is_rough).collect()
     }

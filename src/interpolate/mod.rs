@@ -24,6 +24,7 @@ use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::{self, Engine, GatherScene, Hemisphere};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
+use grow::{Field, Strictness};
 use seeds::Seeds;
 
 /// When receivers speak for each other.
@@ -52,6 +53,8 @@ pub struct Gathering<'a> {
     pub scene: GatherScene<'a>,
     /// Sees for those that are gathered at. It should err alike at neighbors, as the rays engine does.
     pub engine: &'a dyn Engine,
+    /// Sees for them once more where results are refused, and errs otherwise: means of both are closer. `None`: nobody does.
+    pub again: Option<&'a dyn Engine>,
     /// All receivers.
     pub receivers: &'a Receivers,
     /// Which of them may speak for each other: those of one kind, one number a receiver; `None`: those of one prim.
@@ -121,22 +124,77 @@ pub fn gather(
         settings,
         diagnostics,
     };
-    let field = work.grow()?;
-    let mut told = work.tell(field)?;
-    let results = work.assemble(&told.values)?;
-    let is_refused = !told.blended.is_empty() && !accepts(&results);
-    let results = if is_refused {
-        drop(results);
-        work.tell_all(&mut told)?;
-        work.assemble(&told.values)?
-    } else {
-        results
-    };
-    Ok(Interpolated {
-        results,
-        gathered: told.gathered,
-        is_refused,
-    })
+    let mut field = work.plant()?;
+    let mut fault = Fault::All;
+    for step in STEPS {
+        if !work.take(step, &mut field, &fault)? {
+            continue;
+        }
+        let told = work.tell(&mut field)?;
+        let is_grown = matches!(step, Step::Grow(_));
+        let untrue = if is_grown {
+            work.untrue(&told, &mut field)?
+        } else {
+            None
+        };
+        if let Some(untrue) = untrue {
+            fault = untrue;
+            continue;
+        }
+        let results = work.assemble(&told.values)?;
+        let is_refused = step == Step::Everywhere;
+        if is_refused || told.blended.is_empty() || accepts(&results) {
+            return Ok(Interpolated {
+                results,
+                gathered: field.seeds.len() + field.checked,
+                is_refused,
+            });
+        }
+        fault = Fault::Refused;
+    }
+    unreachable!("the last step is taken, and its results are")
+}
+
+/// What is done next with results that are not good enough.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Step {
+    /// Cut cells until they are as smooth as this.
+    Grow(Strictness),
+    /// Gather at all whose values are not true.
+    There,
+    /// Gather once more at the seeds.
+    Again,
+    /// Gather at all.
+    Everywhere,
+}
+
+/// In this order; values that were gathered are kept.
+const STEPS: [Step; 5] = [
+    Step::Grow(Strictness::FIRST),
+    Step::Grow(Strictness::SECOND),
+    Step::There,
+    Step::Again,
+    Step::Everywhere,
+];
+
+/// What is wrong with results.
+#[derive(Debug, Clone, PartialEq)]
+enum Fault {
+    /// Blended values of these kinds, in order, are not true.
+    Of(Vec<Kind>),
+    /// None are.
+    All,
+    /// Nothing that is seen here, but they were not accepted.
+    Refused,
+}
+
+impl Fault {
+    fn holds(&self, kind: Kind) -> bool {
+        match self {
+            Self::Of(kinds) => kinds.binary_search(&kind).is_ok(),
+            Self::All | Self::Refused => true,
+        }
+    }
 }
 
 /// A gather at work.
@@ -163,15 +221,60 @@ impl Work<'_> {
         let Gathering {
             engine, receivers, ..
         } = self.gathering;
+        let read = self.read(engine, which)?;
+        seeds.extend((receivers, &|i| self.gathering.kind(i)), which, &read);
+        Ok(())
+    }
+
+    /// Change `field`, which has this `fault`; false if there is nothing to do.
+    fn take(&self, step: Step, field: &mut Field, fault: &Fault) -> Result<bool, Cancelled> {
+        match step {
+            Step::Grow(strictness) => self.grow(field, strictness, fault)?,
+            Step::There if *fault == Fault::Refused => return Ok(false),
+            Step::There => self.settle(field, fault)?,
+            Step::Again => return self.look_again(field),
+            Step::Everywhere => self.settle(field, &Fault::All)?,
+        }
+        Ok(true)
+    }
+
+    /// Gather at all receivers of the cells of `field` that have this `fault`.
+    fn settle(&self, field: &mut Field, fault: &Fault) -> Result<(), Cancelled> {
+        let faulty = field.take_faulty(fault, &|i| self.gathering.kind(i as usize));
+        let mut is_seed = vec![false; self.gathering.receivers.len()];
+        for &i in &field.seeds.receiver {
+            is_seed[i as usize] = true;
+        }
+        let rest: Vec<u32> = (faulty.iter())
+            .flat_map(|cell| &field.cells.order[cell.run.clone()])
+            .copied()
+            .filter(|&i| !is_seed[i as usize])
+            .collect();
+        self.sow(&mut field.seeds, &rest)
+    }
+
+    /// Gather once more at all seeds of `field`, if somebody can, and as long as that is less than gathering everywhere.
+    fn look_again(&self, field: &mut Field) -> Result<bool, Cancelled> {
+        let seeds = &mut field.seeds;
+        let is_less = 2 * seeds.len() < self.gathering.receivers.len();
+        let Some(engine) = self.gathering.again.filter(|_| is_less) else {
+            return Ok(false);
+        };
+        let read = self.read(engine, &seeds.receiver)?;
+        seeds.average(&read);
+        Ok(true)
+    }
+
+    /// What `engine` sees at the receivers `which`: of each its values, then their changes with the normal.
+    fn read(&self, engine: &dyn Engine, which: &[u32]) -> Result<Vec<f32>, Cancelled> {
+        let receivers = self.gathering.receivers;
         let few = receivers.subset(&which.iter().map(|&i| i as usize).collect::<Vec<_>>());
-        let n = seeds.components;
+        let n = self.components();
         let reading = |i: usize, hemisphere: &Hemisphere, out: &mut [f32]| {
             let (values, turns) = out.split_at_mut(n);
             base::read(self.base, (&few, i), hemisphere, values);
             base::read_turns(self.base, few.normal[i], hemisphere, turns);
         };
-        let read = gather::read(engine, &few, (4 * n, &reading), self.diagnostics)?;
-        seeds.extend((receivers, &|i| self.gathering.kind(i)), which, &read);
-        Ok(())
+        gather::read(engine, &few, (4 * n, &reading), self.diagnostics)
     }
 }

@@ -6,25 +6,36 @@ use crate::receivers::Receivers;
 use crate::trace::Tracer;
 use glam::Vec3;
 
-/// Radius of a cell, over the room that its seed has, that makes it crowded.
-const CROWDED: f32 = 0.1;
-
-/// Difference of unit normals that makes it crowded.
-const BENT: f32 = 0.2;
+/// How little of it makes a cell crowded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Room {
+    /// Radius of a cell, over the room that its seed has.
+    pub(super) crowded: f32,
+    /// Difference of unit normals.
+    pub(super) bent: f32,
+}
 
 /// Rays that look around: a few of them meet whatever is near, and they cost little of what the receiver itself does.
 const LOOKS: u32 = 32;
 
-/// True if there is something near `cell`, or a fold in it, for its size: what `seed` sees, one of its receivers, is not what
-/// all of them see.
-pub(super) fn is_crowded(tracer: &Tracer, receivers: &Receivers, cell: &[u32], seed: u32) -> bool {
-    let own = seed as usize;
-    let farthest = |values: &[Vec3]| {
-        let apart = |&i: &u32| values[i as usize].distance(values[own]);
-        cell.iter().map(apart).fold(0.0, f32::max)
-    };
-    farthest(&receivers.normal) > BENT
-        || farthest(&receivers.position) > CROWDED * room(tracer, receivers, own)
+impl Room {
+    /// True if there is something near `cell`, or a fold in it, for its size: what `seed` sees, one of its receivers, is not
+    /// what all of them see.
+    pub(super) fn is_crowded(
+        self,
+        tracer: &Tracer,
+        receivers: &Receivers,
+        cell: &[u32],
+        seed: u32,
+    ) -> bool {
+        let own = seed as usize;
+        let farthest = |values: &[Vec3]| {
+            let apart = |&i: &u32| values[i as usize].distance(values[own]);
+            cell.iter().map(apart).fold(0.0, f32::max)
+        };
+        farthest(&receivers.normal) > self.bent
+            || farthest(&receivers.position) > self.crowded * room(tracer, receivers, own)
+    }
 }
 
 /// Harmonic mean of the distances to what receiver `i` sees, stage units; infinite under an open sky.

@@ -88,6 +88,21 @@ impl Seeds {
         }
     }
 
+    /// Take the mean of what was read before and now, as of [`Self::extend`].
+    pub(super) fn average(&mut self, read: &[f32]) {
+        let n = self.components;
+        let own = (self.values.chunks_exact_mut(n)).zip(self.turns.chunks_exact_mut(n));
+        for ((values, own_turns), read) in own.zip(read.chunks_exact(4 * n)) {
+            let (more, turns) = read.split_at(n);
+            for (value, more) in values.iter_mut().zip(more) {
+                *value = 0.5 * (*value + more);
+            }
+            for (own, turn) in own_turns.iter_mut().zip(turns.chunks_exact(3)) {
+                *own = 0.5 * (*own + Vec3::from_slice(turn));
+            }
+        }
+    }
+
     /// Component `component` of seed `seed`, had it this normal.
     pub(super) fn turned(&self, seed: u32, component: usize, normal: Vec3) -> f32 {
         let (i, place) = (seed as usize, seed as usize * self.components + component);

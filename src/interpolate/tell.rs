@@ -2,10 +2,9 @@
 
 use super::base;
 use super::blend::Blend;
-use super::cells::Cells;
 use super::grow::{Cell, Field};
 use super::seeds::{ASKED, Seeds};
-use super::{Kind, Work};
+use super::{Fault, Kind, Work};
 use crate::diagnostics::Cancelled;
 use crate::gather::estimate::spread;
 use glam::Vec3;
@@ -29,8 +28,6 @@ pub(super) struct Told {
     pub(super) values: Vec<f32>,
     /// Receivers whose values are blended.
     pub(super) blended: Vec<u32>,
-    /// How many were gathered at.
-    pub(super) gathered: usize,
 }
 
 impl Told {
@@ -40,7 +37,6 @@ impl Told {
         for (&i, value) in seeds.receiver.iter().zip(seeds.values.chunks_exact(n)) {
             self.values[i as usize * n..][..n].copy_from_slice(value);
         }
-        self.gathered += seeds.len();
         let mut is_gathered = vec![false; self.values.len() / n];
         (seeds.receiver.iter()).for_each(|&i| is_gathered[i as usize] = true);
         self.blended.retain(|&i| !is_gathered[i as usize]);
@@ -48,33 +44,22 @@ impl Told {
 }
 
 impl Work<'_> {
-    /// Blend what is smooth, and gather at what turns out not to be.
-    pub(super) fn tell(&self, field: Field) -> Result<Told, Cancelled> {
-        let Field {
-            cells,
-            mut seeds,
-            smooth,
-            scales,
-        } = field;
-        let (mut told, orphans) = self.blend(&cells, &seeds, &smooth);
-        self.sow(&mut seeds, &orphans)?;
-        let (untrue, checked) = self.untrue(&told, &scales)?;
-        self.sow(&mut seeds, &untrue)?;
-        told.replace(&seeds);
-        told.gathered += checked;
+    /// Values of all receivers.
+    pub(super) fn tell(&self, field: &mut Field) -> Result<Told, Cancelled> {
+        let (mut told, orphans) = self.blend(field);
+        self.sow(&mut field.seeds, &orphans)?;
+        told.replace(&field.seeds);
         Ok(told)
     }
 
-    /// Gather at all that was blended.
-    pub(super) fn tell_all(&self, told: &mut Told) -> Result<(), Cancelled> {
-        let mut seeds = Seeds::new(self.components());
-        self.sow(&mut seeds, &told.blended)?;
-        told.replace(&seeds);
-        Ok(())
-    }
-
-    /// Values of all in `smooth` but the seeds; and those whom no seed may speak for.
-    fn blend(&self, cells: &Cells, seeds: &Seeds, smooth: &[Cell]) -> (Told, Vec<u32>) {
+    /// Values of all in smooth cells but the seeds; and those whom no seed may speak for.
+    fn blend(&self, field: &Field) -> (Told, Vec<u32>) {
+        let Field {
+            cells,
+            seeds,
+            smooth,
+            ..
+        } = field;
         let (receivers, n) = (self.gathering.receivers, seeds.components);
         let index = seeds.index();
         let gradient = |seed| index.fit(seed).map(|fit| fit.gradient);
@@ -95,7 +80,6 @@ impl Work<'_> {
         let mut told = Told {
             values: vec![0.0; n * receivers.len()],
             blended: Vec::new(),
-            gathered: 0,
         };
         let mut orphans = Vec::new();
         for (cell, (values, is_told)) in smooth.iter().zip(found) {
@@ -114,10 +98,13 @@ impl Work<'_> {
         (told, orphans)
     }
 
-    /// Blended receivers of kinds whose blended values are not true, and how many were gathered at to find out.
-    ///
-    /// These keep what was blended: among blended neighbors their own would be seen.
-    fn untrue(&self, told: &Told, scales: &[Option<f64>]) -> Result<(Vec<u32>, usize), Cancelled> {
+    /// Whose blended values are not true, if any. Some receivers are gathered at to find out, which keep what was blended:
+    /// among blended neighbors their own would be seen.
+    pub(super) fn untrue(
+        &self,
+        told: &Told,
+        field: &mut Field,
+    ) -> Result<Option<Fault>, Cancelled> {
         let count = (told.blended.len() / CHECKED).max(FEWEST_CHECKED);
         let kind = |i: u32| self.gathering.kind(i as usize);
         let mut picks: Vec<u32> = (spread(told.blended.len(), count).into_iter())
@@ -130,7 +117,10 @@ impl Work<'_> {
         let error = |(&i, truth): (&u32, &[f32])| {
             let blended = &told.values[i as usize * n..][..n];
             let off: Vec<f32> = blended.iter().zip(truth).map(|(a, b)| a - b).collect();
-            (kind(i), base::relative(self.base, &off, scales).powi(2))
+            (
+                kind(i),
+                base::relative(self.base, &off, &field.scales).powi(2),
+            )
         };
         let errors: Vec<(Kind, f64)> = (picks.iter().zip(truth.values.chunks_exact(n)))
             .map(error)
@@ -148,9 +138,11 @@ impl Work<'_> {
             .filter(|(kind, _)| untrue.binary_search(kind).is_err())
             .collect();
         // All others together: each may have too few receivers to be judged alone.
-        let all = is_untrue(&rest);
-        let again = |i: &u32| all || untrue.binary_search(&kind(*i)).is_ok();
-        let again = told.blended.iter().copied().filter(again).collect();
-        Ok((again, picks.len()))
+        field.checked += picks.len();
+        Ok(match untrue.is_empty() {
+            _ if is_untrue(&rest) => Some(Fault::All),
+            true => None,
+            false => Some(Fault::Of(untrue)),
+        })
     }
 }

@@ -223,15 +223,11 @@ fn see_interpolated(
     (rays, found): (u32, &Found),
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Results, Error> {
-    let settings = stand.rays_settings(rays);
-    let (engine, reference) = (
-        stand.rays_with(settings),
-        stand.rays_with(settings.reference()),
-    );
+    let reference = stand.rays_with(stand.rays_settings(rays).reference());
     let tolerance = stand.job.tolerance.unwrap_or(0.0);
     let outcome = found.outcome.as_ref();
     let promise = outcome.and_then(|outcome| choice::promise_of_rays(outcome, tolerance));
-    let method = InterpolatedMethod::new(engine, tolerance, promise);
+    let method = InterpolatedMethod::new(stand, rays, (tolerance, promise));
     let run = (&mut *report, diagnostics);
     let results = see(stand, scene, ("rays", &method, rays_judge(&reference)), run)?;
     method.record(report);

@@ -2,6 +2,7 @@
 
 use super::maps::Promise;
 use super::report::Report;
+use super::stand::Stand;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::{GatherScene, RaysEngine};
 use crate::interpolate::{self, Gathering, InterpolateSettings};
@@ -10,10 +11,12 @@ use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Rays, and interpolation between those that they see for; rays for all where that breaks a promise.
+/// Rays, and interpolation between those that they see for; more rays, or rays for all, where that breaks a promise.
 #[derive(Debug)]
 pub(super) struct InterpolatedMethod<'a> {
     engine: RaysEngine<'a>,
+    /// As many rays, of another pattern.
+    again: RaysEngine<'a>,
     settings: InterpolateSettings,
     promise: Option<Promise>,
     is_redone: AtomicBool,
@@ -21,10 +24,16 @@ pub(super) struct InterpolatedMethod<'a> {
 }
 
 impl<'a> InterpolatedMethod<'a> {
-    /// For a run that may err by `tolerance`. With a promise, receivers are those of the whole run.
-    pub(super) fn new(engine: RaysEngine<'a>, tolerance: f64, promise: Option<Promise>) -> Self {
+    /// For a run on `stand` with so many rays that may err by `tolerance`. With a promise, receivers are those of the whole run.
+    pub(super) fn new(
+        stand: &Stand<'a>,
+        rays: u32,
+        (tolerance, promise): (f64, Option<Promise>),
+    ) -> Self {
+        let settings = stand.rays_settings(rays);
         Self {
-            engine,
+            engine: stand.rays_with(settings),
+            again: stand.rays_with(settings.again()),
             settings: InterpolateSettings { tolerance },
             promise,
             is_redone: AtomicBool::new(false),
@@ -55,6 +64,7 @@ impl Method for InterpolatedMethod<'_> {
         let gathering = Gathering {
             scene,
             engine: &self.engine,
+            again: Some(&self.again),
             receivers,
             kinds: kinds.as_deref(),
             aovs,

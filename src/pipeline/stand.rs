@@ -179,13 +179,14 @@ impl<'a> Stand<'a> {
         // Whoever is handed over asks for the sky alone: rays that need not know what they hit are faster.
         let handed_over = self.rays_settings(knobs.handed_over);
         let handed_over = RaysEngine::new(&self.world.tracer, None, handed_over);
-        let others = self.rays_with(self.rays_settings(knobs.others));
+        let rays = knobs.others;
         let tolerance = self.job.tolerance.filter(|_| self.job.interpolate);
         let others: Box<dyn Method + '_> = match tolerance {
             Some(tolerance) => {
-                Box::new(InterpolatedMethod::new(others, tolerance, promise.clone()))
+                let aim = (tolerance, promise.clone());
+                Box::new(InterpolatedMethod::new(self, rays, aim))
             }
-            None => Box::new(others),
+            None => Box::new(self.rays_with(self.rays_settings(rays))),
         };
         MapsMethod::new((self.maps_plan(), knobs), handed_over, others, promise)
     }

@@ -246,12 +246,11 @@ pub(super) fn auto<'s>(
         }
         Chosen::Paper(knobs) => ("paper", paper_knobs(knobs), Box::new(stand.paper(knobs))),
         Chosen::Rays(rays) => {
-            let engine = stand.rays_with(stand.rays_settings(rays));
             let method: Box<dyn Method + 's> = if choice.interpolates {
                 let promise = choice::promise_of_rays(&outcome, tolerance);
-                Box::new(InterpolatedMethod::new(engine, tolerance, promise))
+                Box::new(InterpolatedMethod::new(stand, rays, (tolerance, promise)))
             } else {
-                Box::new(engine)
+                Box::new(stand.rays_with(stand.rays_settings(rays)))
             };
             ("rays", vec![("rays", f64::from(rays))], method)
         }
