@@ -14,11 +14,8 @@ pub(super) fn with_attribute(
     value: Value,
     interpolation: Option<&str>,
 ) -> RawPrim {
-    let attribute = RawAttribute {
-        value: Some(value),
-        interpolation: interpolation.map(str::to_owned),
-        ..RawAttribute::default()
-    };
+    let mut attribute = RawAttribute::from(value);
+    attribute.interpolation = interpolation.map(str::to_owned);
     prim.attributes.insert(name.to_owned(), attribute);
     prim
 }
@@ -41,12 +38,7 @@ pub(super) fn with_token(prim: RawPrim, name: &str, word: &str) -> RawPrim {
 }
 
 pub(super) fn prim(path: &str, type_name: &str, parent: Option<usize>) -> RawPrim {
-    RawPrim {
-        path: path.to_owned(),
-        type_name: type_name.to_owned(),
-        parent,
-        ..RawPrim::default()
-    }
+    RawPrim::typed(path, type_name, parent)
 }
 
 fn under(mut prim: RawPrim, parent: usize) -> RawPrim {
