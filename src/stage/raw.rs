@@ -43,7 +43,7 @@ const SKELETAL: [&str; 14] = [
 ];
 
 /// Attributes of geometry, cameras and render settings, which every job needs.
-const ALWAYS: [&str; 81] = [
+const ALWAYS: [&str; 84] = [
     // Imageable, Xformable
     "visibility",
     "purpose",
@@ -68,7 +68,10 @@ const ALWAYS: [&str; 81] = [
     "creaseLengths",
     "creaseSharpnesses",
     "primvars:normals",
-    // BasisCurves, HermiteCurves, NurbsPatch
+    // BasisCurves, HermiteCurves, NurbsCurves, NurbsPatch
+    "order",
+    "knots",
+    "ranges",
     "tangents",
     "curveVertexCounts",
     "widths",

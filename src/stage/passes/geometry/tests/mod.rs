@@ -363,7 +363,7 @@ fn skinning_is_named_where_a_skeleton_is_bound_with_or_without_the_api() {
 #[test]
 fn types_that_cannot_be_drawn_are_named() {
     let built = build_all(vec![
-        prim("/hair", "NurbsCurves", None),
+        prim("/fog", "Volume", None),
         prim("/x", "Xform", None),
     ]);
     assert_eq!(built.warnings, ["unsupported-prim"]);
