@@ -57,7 +57,7 @@ fn transformed(prim: RawPrim, matrix: DMat4) -> RawPrim {
     )
 }
 
-fn moved(prim: RawPrim, x: f64, y: f64, z: f64) -> RawPrim {
+pub(super) fn moved(prim: RawPrim, x: f64, y: f64, z: f64) -> RawPrim {
     transformed(prim, DMat4::from_translation(DVec3::new(x, y, z)))
 }
 
@@ -82,7 +82,7 @@ fn build_in(raw: &RawStage, look: &Look, detail: Detail) -> Result<(Built, Vec<u
     let diagnostics = Diagnostics::default();
     let occurrences = flatten(raw, &settings, &diagnostics);
     let layout = lay_out(raw, &occurrences, &settings, &diagnostics)?;
-    let made = layout.build(look, detail, &diagnostics)?;
+    let made = layout.build(look, detail, None, &diagnostics)?;
     let warnings = diagnostics.warnings().into_iter().map(|w| w.kind).collect();
     let built = Built {
         meshes: made.meshes,
