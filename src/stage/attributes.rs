@@ -236,9 +236,7 @@ mod tests {
     use super::*;
 
     fn named(type_name: &str) -> RawAttribute {
-        let mut attribute = RawAttribute::default();
-        attribute.type_name = type_name.to_owned();
-        attribute
+        RawAttribute::new(Declaration::plain("", type_name), None)
     }
 
     #[test]

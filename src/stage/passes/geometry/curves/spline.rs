@@ -118,8 +118,8 @@ impl Nurbs {
     }
 }
 
-/// The curves of the NurbsCurves `prim`, which has `counts` control points each: their laws, or what is wrong with one. The
-/// error is of the prim as a whole.
+/// The curves of the `NurbsCurves` prim `prim`, which have `counts` control points each: their laws, or what is wrong with
+/// one. The error is of the prim as a whole.
 pub(super) fn nurbs(prim: &RawPrim, counts: &[i32]) -> Result<Vec<Result<Spline, String>>, String> {
     let (orders, knots) = (ints(prim, "order"), floats(prim, "knots"));
     let weights = floats(prim, "pointWeights");

@@ -326,7 +326,7 @@ fn a_range_draws_its_part_of_a_curve_only() {
     );
 }
 
-/// Evenly spaced knots, and those with `order` equal ones at each end: what the bases of BasisCurves are.
+/// Evenly spaced knots, and those with `order` equal ones at each end: what the bases of `BasisCurves` are.
 #[test]
 fn nurbs_with_the_knots_of_a_basis_are_the_curves_of_that_basis() {
     let points = [
