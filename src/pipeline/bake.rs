@@ -43,7 +43,7 @@ pub(super) fn run(
     let mut camera = None;
     for time in job.stage.times() {
         with_world(
-            source.as_mut(),
+            &mut source,
             (&job.stage, time, needs),
             &mut report,
             diagnostics,
@@ -68,7 +68,7 @@ pub(super) fn run(
             },
         )?;
     }
-    report.peak_memory_bytes = peak_memory_bytes(source.as_ref());
+    report.peak_memory_bytes = peak_memory_bytes(source.source());
     let Some(writer) = writer else {
         return Err(Error::NothingToBake {
             path: job.stage.path.clone(),

@@ -44,6 +44,7 @@ pub use shots::Shot;
 pub use validate::{CheckSummary, ValidationReport, validate};
 pub use verify::verify;
 
+use self::world::Frames;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::stage::{self, Source};
 use crate::writers::image::{annotated, thumbnail};
@@ -212,13 +213,12 @@ fn source_of(
     job: &StageJob,
     opened: Option<Box<dyn Source>>,
     diagnostics: &Diagnostics,
-) -> Result<Box<dyn Source>, Error> {
-    let mut source = match opened {
+) -> Result<Frames, Error> {
+    let source = match opened {
         Some(source) => source,
         None => stage::open(&job.path, job.door, diagnostics)?,
     };
-    source.expect_loads(job.times().len());
-    Ok(source)
+    Ok(Frames::of(source, job.times().len()))
 }
 
 /// The stage and the outputs of jobs that have pages and thumbnails.

@@ -36,7 +36,7 @@ pub(super) fn run(
     let mut camera = None;
     for (time, path) in &frames {
         with_world(
-            source.as_mut(),
+            &mut source,
             (&job.stage, *time, Needs::ALL),
             &mut report,
             diagnostics,
@@ -65,6 +65,6 @@ pub(super) fn run(
         });
         report.seconds.pictures += seconds;
     }
-    report.peak_memory_bytes = peak_memory_bytes(source.as_ref());
+    report.peak_memory_bytes = peak_memory_bytes(source.source());
     Ok(report)
 }

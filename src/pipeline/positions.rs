@@ -41,7 +41,7 @@ pub(super) fn run(
         let (points, about) =
             cloud::read_points(&outputs::frame_path(positions, *time), diagnostics)?;
         with_world(
-            source.as_mut(),
+            &mut source,
             (&job.stage, *time, Needs::of(&job.gather.aovs)),
             &mut report,
             diagnostics,
@@ -55,7 +55,7 @@ pub(super) fn run(
             },
         )?;
     }
-    report.peak_memory_bytes = peak_memory_bytes(source.as_ref());
+    report.peak_memory_bytes = peak_memory_bytes(source.source());
     Ok(report)
 }
 

@@ -48,7 +48,7 @@ pub(super) fn run(
     for (index, time) in times.into_iter().enumerate() {
         let is_first = index == 0;
         with_world(
-            source.as_mut(),
+            &mut source,
             (&job.stage, time, needs),
             &mut report,
             diagnostics,
@@ -67,7 +67,7 @@ pub(super) fn run(
             },
         )?;
     }
-    report.peak_memory_bytes = peak_memory_bytes(source.as_ref());
+    report.peak_memory_bytes = peak_memory_bytes(source.source());
     Ok(report)
 }
 

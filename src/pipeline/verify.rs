@@ -8,7 +8,7 @@ use super::report::Report;
 use super::spacing::{self, Asked, Lit};
 use super::stand::Stand;
 use super::view::camera;
-use super::world::{Needs, World, with_world};
+use super::world::{Frames, Needs, World, with_world};
 use super::{Error, outputs};
 use crate::diagnostics::Diagnostics;
 use crate::gather::estimate::spread;
@@ -51,11 +51,12 @@ pub fn verify(job: &VerifyJob, diagnostics: &Diagnostics) -> Result<VerifyReport
     let planned: Vec<_> = job.output.path.iter().cloned().collect();
     outputs::check(&job.output, &planned)?;
     let mut report = Report::new(&job.stage.command);
-    let mut source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
+    let source = stage::open(&job.stage.path, job.stage.door, diagnostics)?;
+    let mut source = Frames::of(source, 1);
     let time = job.stage.frames.first().copied();
     let work = |world: &World<'_>, report: &mut Report| sweep(world, job, (report, diagnostics));
     let mut found = with_world(
-        source.as_mut(),
+        &mut source,
         (&job.stage, time, Needs::ALL),
         &mut report,
         diagnostics,

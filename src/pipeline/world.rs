@@ -8,6 +8,7 @@ use crate::lighting::{LightSamples, Lighting};
 use crate::results::Aov;
 use crate::scene::{Light, LightGroup, LightKind, Linked, ParticleSet, Scene};
 use crate::shading::Shader;
+use crate::stage::passes::Surfaces;
 use crate::stage::raw::RawStage;
 use crate::stage::{self, ReadSettings, Source};
 use crate::trace::Tracer;
@@ -131,9 +132,45 @@ impl<'a> World<'a> {
     }
 }
 
+/// A stage that is read at several times, and what these have in common.
+#[derive(Debug)]
+pub(super) struct Frames {
+    source: Box<dyn Source>,
+    /// None where there is one time only.
+    surfaces: Option<Surfaces>,
+}
+
+impl Frames {
+    /// The stage of `source`, to be read at `count` times.
+    pub(super) fn of(mut source: Box<dyn Source>, count: usize) -> Self {
+        source.expect_loads(count);
+        Self {
+            source,
+            surfaces: (count > 1).then(Surfaces::default),
+        }
+    }
+
+    /// Where it is read from.
+    pub(super) fn source(&self) -> &dyn Source {
+        self.source.as_ref()
+    }
+
+    fn scene(
+        &mut self,
+        raw: &RawStage,
+        settings: &ReadSettings,
+        diagnostics: &Diagnostics,
+    ) -> Result<Scene, stage::Error> {
+        match &mut self.surfaces {
+            Some(kept) => stage::passes::scene_keeping(raw, settings, kept, diagnostics),
+            None => stage::passes::scene(raw, settings, diagnostics),
+        }
+    }
+}
+
 /// Read `job`'s stage from `source` at `time`, prepare it, and hand it to `work`. Seconds count as `read`.
 pub(super) fn with_world<T>(
-    source: &mut dyn Source,
+    source: &mut Frames,
     (job, time, needs): (&StageJob, Option<f64>, Needs),
     report: &mut Report,
     diagnostics: &Diagnostics,
@@ -144,10 +181,10 @@ pub(super) fn with_world<T>(
         let _phase = diagnostics.phase("read", "stage", 0);
         let mut settings = read_settings(job, time, needs);
         settings.materials |= report.reads_materials;
-        let raw = compose(source, &mut settings, diagnostics)?;
+        let raw = compose(source.source.as_mut(), &mut settings, diagnostics)?;
         report.reads_materials = settings.materials;
         report.read.add(&raw.meta);
-        let mut scene = stage::passes::scene(&raw, &settings, diagnostics)?;
+        let mut scene = source.scene(&raw, &settings, diagnostics)?;
         report
             .read
             .add_images(displacement::displace(&mut scene, diagnostics).into_iter());

@@ -32,10 +32,7 @@ mod tests {
     fn displaced(attribute: RawAttribute) -> bool {
         let mut attributes = Attributes::default();
         attributes.insert(ATTRIBUTE.to_owned(), attribute);
-        let prims = vec![RawPrim {
-            attributes,
-            ..RawPrim::default()
-        }];
+        let prims = vec![RawPrim::default().with(attributes)];
         may_displace(&RawStage {
             prims,
             ..RawStage::default()
@@ -44,18 +41,12 @@ mod tests {
 
     #[test]
     fn what_is_not_zero_or_comes_from_elsewhere_may_displace() {
-        let valued = |value| {
-            displaced(RawAttribute {
-                value: Some(value),
-                ..RawAttribute::default()
-            })
-        };
+        let valued = |value| displaced(RawAttribute::from(value));
         assert!(!valued(Value::Float(0.0)) && valued(Value::Float(-0.1)));
         assert!(valued(Value::Float(f64::NAN)));
-        assert!(displaced(RawAttribute {
-            connections: vec!["/M/T.outputs:r".to_owned()],
-            ..RawAttribute::default()
-        }));
+        let mut connected = RawAttribute::default();
+        connected.connections = vec!["/M/T.outputs:r".to_owned()];
+        assert!(displaced(connected));
         assert!(!may_displace(&RawStage::default()));
     }
 }

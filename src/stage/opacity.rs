@@ -43,10 +43,7 @@ mod tests {
     fn stage(name: &str, attribute: RawAttribute) -> RawStage {
         let mut attributes = Attributes::default();
         attributes.insert(name.to_owned(), attribute);
-        let prims = vec![RawPrim {
-            attributes,
-            ..RawPrim::default()
-        }];
+        let prims = vec![RawPrim::default().with(attributes)];
         RawStage {
             prims,
             ..RawStage::default()
@@ -54,10 +51,7 @@ mod tests {
     }
 
     fn valued(value: Value) -> RawAttribute {
-        RawAttribute {
-            value: Some(value),
-            ..RawAttribute::default()
-        }
+        RawAttribute::from(value)
     }
 
     #[test]
@@ -70,10 +64,8 @@ mod tests {
             may_pass(&stage("primvars:displayOpacity", value))
         };
         assert!(!display(vec![1.0, 1.0]) && display(vec![1.0, 0.0]));
-        let connected = RawAttribute {
-            connections: vec!["/M/T.outputs:a".to_owned()],
-            ..RawAttribute::default()
-        };
+        let mut connected = RawAttribute::default();
+        connected.connections = vec!["/M/T.outputs:a".to_owned()];
         assert!(may_pass(&stage("inputs:opacity", connected)));
         assert!(!may_pass(&stage(
             "inputs:roughness",

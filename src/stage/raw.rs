@@ -1,10 +1,12 @@
 //! What both doors deliver: composed prims with authored, value-resolved attributes. No schema knowledge here:
 //! fallbacks, inheritance and meaning are the passes' business, once for both doors.
 
-use super::attributes::Attributes;
+pub use super::attributes::{Attributes, Declaration, RawAttribute};
 use super::{Composition, ReadSettings};
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
 use std::collections::BTreeMap;
+use std::ops::{Deref, DerefMut};
+use std::sync::Arc;
 
 /// What to load.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +43,7 @@ const SKELETAL: [&str; 14] = [
 ];
 
 /// Attributes of geometry, cameras and render settings, which every job needs.
-const ALWAYS: [&str; 81] = [
+const ALWAYS: [&str; 84] = [
     // Imageable, Xformable
     "visibility",
     "purpose",
@@ -66,7 +68,10 @@ const ALWAYS: [&str; 81] = [
     "creaseLengths",
     "creaseSharpnesses",
     "primvars:normals",
-    // BasisCurves, HermiteCurves, NurbsPatch
+    // BasisCurves, HermiteCurves, NurbsCurves, NurbsPatch
+    "order",
+    "knots",
+    "ranges",
     "tangents",
     "curveVertexCounts",
     "widths",
@@ -284,11 +289,20 @@ impl RawStage {
     }
 }
 
-/// One composed prim.
+/// One composed prim: its path and attributes, and what it may share with others (a [`PrimCommon`], which it stands for:
+/// `prim.type_name`). A prim that is changed shares no more.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RawPrim {
     /// Stage path (`/__Prototype_1/…` below prototypes).
     pub path: String,
+    /// Authored attributes that the request wants, by full name (`primvars:st`, `primvars:st:indices`, `xformOp:translate`).
+    pub attributes: Attributes,
+    common: Arc<PrimCommon>,
+}
+
+/// What prims may have in common: of a hundred thousand instances beside each other only paths and transforms differ.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PrimCommon {
     /// `typeName`, empty if none.
     pub type_name: String,
     /// Index of the parent; `None` for children of the pseudo-root and for prototype roots.
@@ -299,8 +313,6 @@ pub struct RawPrim {
     pub prototype: Option<usize>,
     /// `kind` metadata.
     pub kind: Option<String>,
-    /// Authored attributes that the request wants, by full name (`primvars:st`, `primvars:st:indices`, `xformOp:translate`).
-    pub attributes: Attributes,
     /// Authored relationships by name with composed, absolute targets (mapped to stage paths; below prototypes:
     /// into the prototype where the target is inside it).
     pub relationships: BTreeMap<String, RawRelationship>,
@@ -312,6 +324,56 @@ pub struct RawPrim {
     pub is_posed: bool,
     /// MaterialX documents that the prim references, strongest first.
     pub materialx: Vec<MaterialxReference>,
+}
+
+impl RawPrim {
+    /// The prim at `path` with what it has in `common` with others, without attributes.
+    pub fn new(path: impl Into<String>, common: impl Into<Arc<PrimCommon>>) -> Self {
+        Self {
+            path: path.into(),
+            attributes: Attributes::default(),
+            common: common.into(),
+        }
+    }
+
+    /// The prim at `path` of a type, below prim `parent`, without anything else.
+    pub fn typed(path: impl Into<String>, type_name: &str, parent: Option<usize>) -> Self {
+        let common = PrimCommon {
+            type_name: type_name.to_owned(),
+            parent,
+            ..PrimCommon::default()
+        };
+        Self::new(path, common)
+    }
+
+    /// The same with `attributes`.
+    pub fn with(self, attributes: Attributes) -> Self {
+        Self { attributes, ..self }
+    }
+
+    /// What others may share.
+    pub fn common(&self) -> &Arc<PrimCommon> {
+        &self.common
+    }
+
+    /// Share `common` from now on.
+    pub(super) fn set_common(&mut self, common: Arc<PrimCommon>) {
+        self.common = common;
+    }
+}
+
+impl Deref for RawPrim {
+    type Target = PrimCommon;
+
+    fn deref(&self) -> &PrimCommon {
+        &self.common
+    }
+}
+
+impl DerefMut for RawPrim {
+    fn deref_mut(&mut self) -> &mut PrimCommon {
+        Arc::make_mut(&mut self.common)
+    }
 }
 
 /// A reference to a MaterialX document, which takes a plug-in to compose.
@@ -330,30 +392,6 @@ pub struct RawRelationship {
     pub targets: Vec<String>,
     /// `bindMaterialAs` metadata (`weakerThanDescendants` by default).
     pub bind_material_as: Option<String>,
-}
-
-/// An authored attribute.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct RawAttribute {
-    /// USD type name, e.g. `color3f[]`.
-    pub type_name: String,
-    /// Resolved value at the requested time; `None` if there is none (only connections, a block, or an empty type).
-    pub value: Option<Value>,
-    /// `interpolation` metadata.
-    pub interpolation: Option<String>,
-    /// `elementSize` metadata.
-    pub element_size: Option<i32>,
-    /// `weight` metadata, of shapes in between.
-    pub weight: Option<f32>,
-    /// `colorSpace` metadata.
-    pub color_space: Option<String>,
-    /// Connection targets.
-    pub connections: Vec<String>,
-    /// More than one time sample (or clips); or time samples and no value at the requested time.
-    pub varying: bool,
-    /// Of what [`MOVED`] lists, on a PointInstancer that moves so: the last sample up to the requested time, or the
-    /// first of all.
-    pub held: Option<Box<Sample>>,
 }
 
 /// A time sample.

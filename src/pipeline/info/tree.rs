@@ -104,12 +104,7 @@ mod tests {
     use super::*;
 
     fn prim(path: &str, type_name: &str, parent: Option<usize>) -> RawPrim {
-        RawPrim {
-            path: path.to_owned(),
-            type_name: type_name.to_owned(),
-            parent,
-            ..RawPrim::default()
-        }
+        RawPrim::typed(path, type_name, parent)
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //! shader, and the node graphs and nodes that feed it, below.
 
 use crate::files::package;
-use crate::stage::raw::{RawAttribute, RawPrim, Value};
+use crate::stage::raw::{Declaration, RawAttribute, RawPrim, Value};
 use glam::{DVec2, DVec3, DVec4};
 use roxmltree::Node;
 use std::collections::BTreeSet;
@@ -62,11 +62,7 @@ impl<'a> Document<'a> {
         let mut network = Network {
             document: self,
             path,
-            prims: vec![RawPrim {
-                path: path.to_owned(),
-                type_name: "Material".to_owned(),
-                ..RawPrim::default()
-            }],
+            prims: vec![RawPrim::typed(path, "Material", None)],
             needed: Vec::new(),
             met: BTreeSet::new(),
         };
@@ -107,11 +103,7 @@ impl<'d> Network<'d, '_> {
     }
 
     fn graph(&mut self, graph: Node<'d, 'd>, path: &str) {
-        let mut prim = RawPrim {
-            path: path.to_owned(),
-            type_name: "NodeGraph".to_owned(),
-            ..RawPrim::default()
-        };
+        let mut prim = RawPrim::typed(path, "NodeGraph", None);
         self.add_inputs(graph, &mut prim, None);
         for output in graph
             .children()
@@ -134,11 +126,7 @@ impl<'d> Network<'d, '_> {
 
     /// A node as a Shader; `graph` is the path of the graph it is in.
     fn shader(&mut self, node: Node<'d, 'd>, path: &str, graph: Option<&str>) -> RawPrim {
-        let mut prim = RawPrim {
-            path: path.to_owned(),
-            type_name: "Shader".to_owned(),
-            ..RawPrim::default()
-        };
+        let mut prim = RawPrim::typed(path, "Shader", None);
         let kind = node.attribute("type").unwrap_or("");
         let id = format!("ND_{}_{kind}", node.tag_name().name());
         prim.attributes
@@ -286,18 +274,19 @@ fn decoded(x: f64) -> f64 {
 }
 
 fn valued(type_name: &str, value: Value) -> RawAttribute {
-    RawAttribute {
+    let declaration = Declaration {
         type_name: type_name.to_owned(),
-        value: Some(value),
-        ..RawAttribute::default()
-    }
+        ..Declaration::default()
+    };
+    RawAttribute::new(declaration, Some(value))
 }
 
 fn connected(source: String) -> RawAttribute {
-    RawAttribute {
+    let declaration = Declaration {
         connections: vec![source],
-        ..RawAttribute::default()
-    }
+        ..Declaration::default()
+    };
+    RawAttribute::new(declaration, None)
 }
 
 #[cfg(test)]

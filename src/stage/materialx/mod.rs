@@ -10,6 +10,7 @@ use crate::files::package;
 use document::Document;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Larger documents than this, bytes, are refused: those of production assets have some kilobytes.
 const LARGEST_DOCUMENT: u64 = 64 << 20;
@@ -89,10 +90,7 @@ fn added(
         // without a target: the document's default prim, which USD's plug-in calls `MaterialX`
         [] | ["MaterialX"] => {
             let scope = format!("{}/Materials", prim.path);
-            let mut prims = vec![RawPrim {
-                path: scope.clone(),
-                ..RawPrim::default()
-            }];
+            let mut prims = vec![RawPrim::typed(&scope, "", None)];
             prims.extend(document.materials(&scope));
             Ok(prims)
         }
@@ -102,10 +100,10 @@ fn added(
                 .material(name, &prim.path)
                 .ok_or_else(|| format!("it has no material `{name}`"))?;
             let material = prims.remove(0);
-            prim.type_name = material.type_name;
-            for (name, attribute) in material.attributes {
-                if !prim.attributes.contains_key(&name) {
-                    prim.attributes.insert(name, attribute);
+            prim.type_name.clone_from(&material.type_name);
+            for attribute in material.attributes.shared() {
+                if !prim.attributes.contains_key(&attribute.name) {
+                    prim.attributes.insert_shared(Arc::clone(attribute));
                 }
             }
             Ok(prims)
@@ -125,8 +123,12 @@ fn insert(raw: RawStage, grafts: Vec<Vec<RawPrim>>) -> RawStage {
     let start = moved_to.get(raw.prototype_start).copied().unwrap_or(next);
     let mut prims: Vec<RawPrim> = Vec::with_capacity(next);
     for (mut prim, graft) in raw.prims.into_iter().zip(grafts) {
-        prim.parent = prim.parent.map(|parent| moved_to[parent]);
-        prim.prototype = prim.prototype.map(|prototype| moved_to[prototype]);
+        let parent = prim.parent.map(|parent| moved_to[parent]);
+        let prototype = prim.prototype.map(|prototype| moved_to[prototype]);
+        // what many prims have in common stays so where nothing was put before them
+        if (parent, prototype) != (prim.parent, prim.prototype) {
+            (prim.parent, prim.prototype) = (parent, prototype);
+        }
         let first = prims.len();
         prims.push(prim);
         let mut by_path = HashMap::from([(prims[first].path.clone(), first)]);
@@ -149,23 +151,16 @@ mod tests {
     use super::*;
 
     fn referring(path: &str, file: &Path, target: &str, parent: Option<usize>) -> RawPrim {
-        RawPrim {
-            path: path.to_owned(),
-            parent,
-            materialx: vec![MaterialxReference {
-                file: file.to_owned(),
-                target: target.to_owned(),
-            }],
-            ..RawPrim::default()
-        }
+        let mut prim = RawPrim::typed(path, "", parent);
+        prim.materialx = vec![MaterialxReference {
+            file: file.to_owned(),
+            target: target.to_owned(),
+        }];
+        prim
     }
 
     fn plain(path: &str, parent: Option<usize>) -> RawPrim {
-        RawPrim {
-            path: path.to_owned(),
-            parent,
-            ..RawPrim::default()
-        }
+        RawPrim::typed(path, "", parent)
     }
 
     #[test]

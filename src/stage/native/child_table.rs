@@ -4,7 +4,9 @@
 //! equal fields have one set of fields, and of 100 000 instances beside each other only the transforms differ.
 
 use crate::files::Bytes;
+use crate::stage::raw::RawAttribute;
 use openusd::sdf::{self, FieldKey, SpecType, Value};
+use openusd::tf::Token;
 use openusd::usdc::CrateFile;
 use std::cmp::Ordering;
 use std::collections::HashMap;
@@ -12,6 +14,7 @@ use std::io::Cursor;
 use std::mem;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 /// The children of one prim, sorted by path, each followed by its properties.
 pub(super) struct ChildTable {
@@ -24,6 +27,8 @@ pub(super) struct ChildTable {
     next: usize,
     /// Words by their representation in the file.
     words: HashMap<u64, Value>,
+    /// Attributes by the number of their fields.
+    known: HashMap<usize, Vec<Arc<RawAttribute>>>,
 }
 
 #[derive(Clone, Copy)]
@@ -44,8 +49,10 @@ pub(super) struct Child {
 
 /// An attribute without other metadata than its type.
 pub(super) struct PlainAttribute {
-    pub(super) type_name: String,
+    pub(super) type_name: Option<Token>,
     pub(super) default: Option<Value>,
+    /// The default is made of words, which many attributes have alike.
+    pub(super) is_word: bool,
 }
 
 impl ChildTable {
@@ -64,7 +71,8 @@ impl ChildTable {
             (!name.contains(['/', '{', '['])).then_some((name, spec))
         });
         let mut below: Vec<_> = below.collect();
-        below.sort_unstable_by_key(|(name, _)| *name);
+        // mostly sorted already, which this sort is quick with
+        below.sort_by_key(|(name, _)| *name);
         let mut names = String::with_capacity(below.iter().map(|(name, _)| name.len()).sum());
         let entries = below.iter().map(|(name, spec)| {
             names.push_str(name);
@@ -81,6 +89,7 @@ impl ChildTable {
             entries,
             next: 0,
             words: HashMap::new(),
+            known: HashMap::new(),
         })
     }
 
@@ -116,7 +125,7 @@ impl ChildTable {
         if entry.kind != SpecType::Attribute {
             return None;
         }
-        let (mut type_name, mut default) = (String::new(), None);
+        let (mut type_name, mut default) = (None, None);
         for at in entry.fields.. {
             let Some(place) = *self.file.fieldsets.get(at)? else {
                 break;
@@ -127,7 +136,7 @@ impl ChildTable {
                 let Value::Token(word) = self.value(place)? else {
                     return None;
                 };
-                type_name = word.as_str().to_owned();
+                type_name = Some(word);
             } else if name == FieldKey::Default.as_str() {
                 default = has_value.then_some(place);
             } else if name != FieldKey::Variability.as_str() && name != FieldKey::Custom.as_str() {
@@ -138,7 +147,24 @@ impl ChildTable {
             Some(place) => Some(self.value(place)?),
             None => None,
         };
-        Some(PlainAttribute { type_name, default })
+        Some(PlainAttribute {
+            type_name,
+            is_word: default.as_ref().is_some_and(is_word),
+            default,
+        })
+    }
+
+    /// The attribute at `place`, if one like it was remembered.
+    pub(super) fn known(&self, place: usize) -> Option<Arc<RawAttribute>> {
+        let all = self.known.get(&self.entries[place].fields)?;
+        let name = self.property_name(place);
+        all.iter().find(|it| it.name == name).cloned()
+    }
+
+    /// What the attribute at `place` was read as, and others with the same name and fields are.
+    pub(super) fn remember(&mut self, place: usize, attribute: &Arc<RawAttribute>) {
+        let all = self.known.entry(self.entries[place].fields).or_default();
+        all.push(Arc::clone(attribute));
     }
 
     /// The value of the field at `place` of the file's fields.
@@ -148,7 +174,7 @@ impl ChildTable {
             return Some(word.clone());
         }
         let value = self.file.value(rep).ok()?;
-        if matches!(value, Value::Token(_) | Value::TokenVec(_)) {
+        if is_word(&value) {
             self.words.insert(rep.0, value.clone());
         }
         Some(value)
@@ -174,6 +200,10 @@ impl ChildTable {
         }
         None
     }
+}
+
+fn is_word(value: &Value) -> bool {
+    matches!(value, Value::Token(_) | Value::TokenVec(_))
 }
 
 #[cfg(test)]
@@ -224,7 +254,8 @@ mod tests {
         assert_ne!(a.fields, other.fields);
         let places: Vec<usize> = a.properties.collect();
         let plain = table.attribute(places[0], true).unwrap();
-        assert_eq!(plain.type_name, "int");
+        assert_eq!(plain.type_name, Some("int".into()));
+        assert!(!plain.is_word);
         assert_eq!(plain.default, Some(Value::Int(4)));
         assert_eq!(table.attribute(places[0], false).unwrap().default, None);
         assert!(table.attribute(places[1], true).is_none(), "a relationship");

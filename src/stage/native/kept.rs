@@ -6,9 +6,10 @@ use super::sites::{Fault, Sites};
 use crate::diagnostics::{CancelToken, Cancelled, Warning};
 use crate::stage::Error;
 use crate::stage::attributes::Attributes;
-use crate::stage::raw::{MOVED, RawAttribute, RawPrim, RawStage, ReadCounts, Request};
+use crate::stage::raw::{MOVED, RawPrim, RawStage, ReadCounts, Request};
 use openusd::sdf;
 use openusd::usd::Stage;
+use std::sync::Arc;
 
 /// What a walk over a stage found.
 pub(super) struct Walked {
@@ -49,9 +50,11 @@ impl Kept {
             if names.as_ref().is_some_and(Vec::is_empty) {
                 continue;
             }
-            for attribute in read_again(prim, names.as_deref()) {
-                attribute.value = None;
-                attribute.held = None;
+            for name in names_of(prim, names.as_deref()) {
+                if let Some(attribute) = prim.attributes.get_mut(&name) {
+                    attribute.value = None;
+                    attribute.held = None;
+                }
             }
             moving.push(Moving {
                 prim: index,
@@ -96,9 +99,9 @@ impl Kept {
             let prim = &mut raw.prims[moving.prim];
             files.pulse().values();
             let read = moving.read(stage, &properties, prim);
-            for (name, attribute) in read.map_err(super::traverse::refused)? {
+            for attribute in read.map_err(super::traverse::refused)?.shared() {
                 raw.meta.read.add(attribute.value.as_ref());
-                prim.attributes.insert(name, attribute);
+                prim.attributes.insert_shared(Arc::clone(attribute));
             }
         }
         Ok((raw, self.warnings.clone()))
@@ -117,10 +120,7 @@ impl Moving {
             layer: stage.root_layer().identifier().to_owned(),
             message: format!("{}: {error:#}", self.path),
         })?;
-        let mut read = RawPrim {
-            type_name: prim.type_name.clone(),
-            ..RawPrim::default()
-        };
+        let mut read = RawPrim::typed("", &prim.type_name, None);
         match &self.names {
             Some(names) => {
                 let names: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -143,12 +143,10 @@ fn varying(prim: &RawPrim) -> Vec<String> {
     names.map(|(name, _)| name.clone()).collect()
 }
 
-/// Those of `prim`'s attributes that `names` lists, or all.
-fn read_again<'a>(
-    prim: &'a mut RawPrim,
-    names: Option<&'a [String]>,
-) -> impl Iterator<Item = &'a mut RawAttribute> {
-    let attributes = prim.attributes.iter_mut();
-    let listed = attributes.filter(move |(name, _)| names.is_none_or(|names| names.contains(name)));
-    listed.map(|(_, attribute)| attribute)
+/// Those of `names` that are attributes of `prim`; without `names`, all.
+fn names_of(prim: &RawPrim, names: Option<&[String]>) -> Vec<String> {
+    match names {
+        Some(names) => names.to_vec(),
+        None => prim.attributes.keys().cloned().collect(),
+    }
 }

@@ -9,12 +9,15 @@ use super::interpolate::Samples;
 use super::layer_files::LayerFiles;
 use super::sites::{Fault, Opinions, Site, Sites};
 use super::specs::Specs;
-use crate::stage::raw::{MOVED, MOVERS, RawAttribute, RawPrim, RawRelationship, Request, Sample};
+use crate::stage::raw::{
+    Declaration, MOVED, MOVERS, RawAttribute, RawPrim, RawRelationship, Request, Sample, Value,
+};
 use openusd::sdf::{self, FieldKey, SpecType};
 use openusd::usd::{Attribute, Stage, TimeCode};
 use std::borrow::Cow;
 use std::cell::RefCell;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
 /// Reads the properties of prims of one stage for one request.
 pub(super) struct Properties<'a> {
@@ -25,7 +28,14 @@ pub(super) struct Properties<'a> {
     without_value: Request,
     /// What the request says to the names met: there are many prims and few names.
     wanted: RefCell<HashMap<String, Wanted>>,
+    /// Met last.
+    declarations: RefCell<Vec<Arc<Declaration>>>,
+    /// Attributes met last whose values are words.
+    words: RefCell<Vec<Arc<RawAttribute>>>,
 }
+
+/// How many are looked through for one met before.
+const RECENT: usize = 32;
 
 /// What a request says to the name of an attribute.
 #[derive(Debug, Clone, Copy)]
@@ -46,6 +56,8 @@ impl<'a> Properties<'a> {
             request,
             without_value,
             wanted: RefCell::default(),
+            declarations: RefCell::default(),
+            words: RefCell::default(),
         }
     }
 
@@ -93,6 +105,7 @@ impl<'a> Properties<'a> {
             && names.iter().any(|name| MOVERS.contains(name));
         let is_moved = |name: &str| moves && MOVED.contains(&name);
         let mut connected = Vec::new();
+        let (mut relationships, mut unread) = (BTreeMap::new(), Vec::new());
         {
             let opinions: Vec<Opinions<'_>> = sites.borrow(self.stage).collect();
             for &name in names {
@@ -106,7 +119,7 @@ impl<'a> Properties<'a> {
                             targets: Vec::new(),
                             bind_material_as: specs.token("bindMaterialAs")?,
                         };
-                        prim.relationships.insert(name.to_string(), relationship);
+                        relationships.insert(name.to_string(), relationship);
                     }
                     Some(SpecType::Attribute) if self.wanted(name).is_listed || is_moved(name) => {
                         let mut attribute = self.attribute(name, &specs)?;
@@ -116,14 +129,17 @@ impl<'a> Properties<'a> {
                         if specs.iter().any(|spec| spec.has(FieldKey::ConnectionPaths)) {
                             connected.push(name.to_string());
                         }
-                        prim.attributes.insert(name.to_string(), attribute);
+                        prim.attributes.insert_shared(self.shared(name, attribute));
                     }
-                    _ => prim.unread.push(name.to_string()),
+                    _ => unread.push(name.to_string()),
                 }
             }
         }
         prim.attributes.shrink_to_fit();
-        self.targets(path, sites, &connected, prim)
+        self.targets(path, sites, &mut relationships)?;
+        self.connections(path, sites, &connected, prim)?;
+        set_if_other(prim, relationships, unread);
+        Ok(())
     }
 
     /// Fill `prim` with the properties that `table` has for `child`, which only `site` makes; `false` if one of them is more
@@ -139,43 +155,89 @@ impl<'a> Properties<'a> {
             return false;
         }
         let resolve = |authored: &str| self.files.resolve_value(authored, &site.layer);
+        let mut unread = Vec::new();
+        prim.attributes.reserve_exact(child.properties.len());
         for place in child.properties {
-            let name = table.property_name(place).to_owned();
-            let wanted = self.wanted(&name);
+            if let Some(known) = table.known(place) {
+                prim.attributes.insert_shared(known);
+                continue;
+            }
+            let wanted = self.wanted(table.property_name(place));
             let Some(plain) = table.attribute(place, wanted.is_listed && wanted.has_value) else {
                 return false;
             };
+            let name = table.property_name(place);
             if !wanted.is_listed {
-                prim.unread.push(name);
+                unread.push(name.to_owned());
                 continue;
             }
+            let type_name = plain.type_name.as_ref().map_or("", |word| word.as_str());
+            let declaration = self.declaration(name, type_name);
             let default = plain.default.map(Cow::Owned);
             let value = default.and_then(|default| convert::value_of(default, &resolve));
-            let value = value.map(|value| site.retimed(value, &plain.type_name));
-            let attribute = RawAttribute {
-                type_name: plain.type_name,
-                value,
-                ..RawAttribute::default()
-            };
-            prim.attributes.insert(name, attribute);
+            let value = value.map(|value| site.retimed(value, type_name));
+            let attribute = Arc::new(RawAttribute::new(declaration, value));
+            if plain.is_word {
+                table.remember(place, &attribute);
+            }
+            prim.attributes.insert_shared(attribute);
         }
         prim.attributes.shrink_to_fit();
+        set_if_other(prim, BTreeMap::new(), unread);
         true
     }
 
-    /// Targets and connections; apart from the rest because composing them may load layers.
+    /// What attributes `name` of the type `type_name` have in common if they have nothing else.
+    fn declaration(&self, name: &str, type_name: &str) -> Arc<Declaration> {
+        let is_it = |known: &Declaration| {
+            known.name == name && known.type_name == type_name && known.is_plain()
+        };
+        recent(&self.declarations, is_it, || {
+            Declaration::plain(name, type_name)
+        })
+    }
+
+    /// `attribute`, called `name`, sharing with those before what it has alike: all, where the value is made of words.
+    fn shared(&self, name: &str, mut attribute: RawAttribute) -> Arc<RawAttribute> {
+        attribute.name = name.to_owned();
+        let declaration = Arc::clone(attribute.declaration());
+        let is_it = |known: &Declaration| *known == *declaration;
+        let declaration = recent(&self.declarations, is_it, || {
+            Declaration::clone(&declaration)
+        });
+        let attribute = RawAttribute::new(declaration, attribute.value);
+        match attribute.value {
+            None | Some(Value::Token(_) | Value::TokenArray(_) | Value::Bool(_)) => {
+                let is_it = |known: &RawAttribute| *known == attribute;
+                recent(&self.words, is_it, || attribute.clone())
+            }
+            _ => Arc::new(attribute),
+        }
+    }
+
+    /// Targets; apart from the rest because composing them may load layers.
     fn targets(
+        &self,
+        path: &sdf::Path,
+        sites: &Sites,
+        relationships: &mut BTreeMap<String, RawRelationship>,
+    ) -> Result<(), Fault> {
+        for (name, relationship) in relationships {
+            let handle = self.stage.prim(path.clone()).relationship(name.as_str());
+            let targets = handle.targets().map_err(|error| sites.fault(&error))?;
+            relationship.targets = targets.iter().map(ToString::to_string).collect();
+        }
+        Ok(())
+    }
+
+    /// Connections, as [`Self::targets`].
+    fn connections(
         &self,
         path: &sdf::Path,
         sites: &Sites,
         connected: &[String],
         prim: &mut RawPrim,
     ) -> Result<(), Fault> {
-        for (name, relationship) in &mut prim.relationships {
-            let handle = self.stage.prim(path.clone()).relationship(name.as_str());
-            let targets = handle.targets().map_err(|error| sites.fault(&error))?;
-            relationship.targets = targets.iter().map(ToString::to_string).collect();
-        }
         for name in connected {
             let handle = self.stage.prim(path.clone()).attribute(name.as_str());
             let connections = handle.connections().map_err(|error| sites.fault(&error))?;
@@ -191,7 +253,7 @@ impl<'a> Properties<'a> {
             true => specs.strongest("weight")?,
             false => None,
         };
-        let mut attribute = RawAttribute {
+        let declaration = Declaration {
             type_name: specs
                 .token(FieldKey::TypeName.as_str())?
                 .unwrap_or_default(),
@@ -203,8 +265,9 @@ impl<'a> Properties<'a> {
             },
             weight: weight.as_ref().and_then(convert::float),
             color_space: specs.token(FieldKey::ColorSpace.as_str())?,
-            ..RawAttribute::default()
+            ..Declaration::default()
         };
+        let mut attribute = RawAttribute::new(declaration, None);
         if self.wanted(name).has_value {
             self.value(specs, &mut attribute)?;
         }
@@ -288,8 +351,10 @@ impl<'a> Properties<'a> {
     /// Values in reach of value clips: the crate knows them at their samples' times; between, as for any samples.
     /// (The crate interpolates within one clip, Pixar from the last sample of one to the first of the next.)
     fn clipped(&self, path: &sdf::Path, sites: &Sites, prim: &mut RawPrim) -> Result<(), Fault> {
-        for (name, attribute) in &mut prim.attributes {
-            if self.wanted(name).has_value {
+        let names: Vec<String> = prim.attributes.keys().cloned().collect();
+        for name in names {
+            let attribute = prim.attributes.get_mut(&name);
+            if let Some(attribute) = attribute.filter(|_| self.wanted(&name).has_value) {
                 let handle = self.stage.prim(path.clone()).attribute(name.as_str());
                 let read = self.clip(&handle, sites, attribute);
                 read.map_err(|error| sites.fault(&error))?;
@@ -328,4 +393,34 @@ impl<'a> Properties<'a> {
         attribute.value = samples.at(time);
         Ok(())
     }
+}
+
+/// `prim` has these relationships and unread attributes; it goes on sharing them with others that have the same.
+fn set_if_other(
+    prim: &mut RawPrim,
+    relationships: BTreeMap<String, RawRelationship>,
+    unread: Vec<String>,
+) {
+    if prim.relationships != relationships {
+        prim.relationships = relationships;
+    }
+    if prim.unread != unread {
+        prim.unread = unread;
+    }
+}
+
+/// The one of those `met` that `is_it`, or `new`, which is met then.
+fn recent<T>(
+    met: &RefCell<Vec<Arc<T>>>,
+    is_it: impl Fn(&T) -> bool,
+    new: impl FnOnce() -> T,
+) -> Arc<T> {
+    let mut met = met.borrow_mut();
+    if let Some(known) = met.iter().find(|known| is_it(known)) {
+        return Arc::clone(known);
+    }
+    let new = Arc::new(new());
+    met.truncate(RECENT - 1);
+    met.insert(0, Arc::clone(&new));
+    new
 }

@@ -10,7 +10,7 @@ use super::sites::{Fault, Sites};
 use super::specs::text;
 use super::twins::{Siblings, Sole, Twin};
 use crate::diagnostics::{CancelToken, Cancelled, Warning};
-use crate::stage::raw::{RawMeta, RawPrim, RawStage, ReadCounts, Request};
+use crate::stage::raw::{PrimCommon, RawMeta, RawPrim, RawStage, ReadCounts, Request};
 use crate::stage::{Error, Load};
 use openusd::sdf::{self, FieldKey};
 use openusd::usd::{ClipsAPI, Stage};
@@ -18,6 +18,7 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::sync::Arc;
 
 /// One walk over a stage.
 pub(super) struct Traversal<'a> {
@@ -113,9 +114,7 @@ impl<'a> Traversal<'a> {
         self.walk(pending)?;
         let prototype_start = self.prims.len();
         let roots = self.walk_prototypes()?;
-        for (instance, prototype) in self.instances {
-            self.prims[instance].prototype = Some(roots[prototype]);
-        }
+        self.point_to(&roots);
         let mut meta = meta(self.stage, root)?;
         let attributes = self.prims.iter().flat_map(|prim| prim.attributes.values());
         for attribute in attributes {
@@ -134,6 +133,23 @@ impl<'a> Traversal<'a> {
             warnings: self.warnings,
             clipped: self.clipped,
         })
+    }
+
+    /// Tell every instance its prototype, of which `roots` has the places. What instances have in common stays so.
+    fn point_to(&mut self, roots: &[usize]) {
+        let mut pointed = HashMap::new();
+        for &(instance, prototype) in &self.instances {
+            let prim = &mut self.prims[instance];
+            let before = Arc::clone(prim.common());
+            let key = (Arc::as_ptr(&before), prototype);
+            let (_, after) = pointed.entry(key).or_insert_with(|| {
+                let mut after = PrimCommon::clone(&before);
+                after.prototype = Some(roots[prototype]);
+                // the one before is kept too, so that no two of them are ever at one address
+                (before, Arc::new(after))
+            });
+            prim.set_common(Arc::clone(after));
+        }
     }
 
     /// Walk every prototype, those met on the way too; the index of each one's root.
@@ -256,10 +272,7 @@ impl<'a> Traversal<'a> {
             return false;
         };
         self.files.pulse().prims(1);
-        let mut prim = RawPrim {
-            path: next.path.to_string(),
-            ..twin.prim.clone()
-        };
+        let mut prim = RawPrim::new(next.path.as_str(), Arc::clone(&twin.common));
         if !self.properties.read_tabled(table, child, site, &mut prim) {
             return false;
         }
@@ -273,10 +286,7 @@ impl<'a> Traversal<'a> {
         self.files.pulse().prims(1);
         let (sites, names) = twin.properties(self.stage, own)?;
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let mut prim = RawPrim {
-            path: next.path.to_string(),
-            ..twin.prim.clone()
-        };
+        let mut prim = RawPrim::new(next.path.as_str(), Arc::clone(&twin.common));
         let properties = &self.properties;
         properties.read_named(&names, &next.path, &sites, &mut prim)?;
         self.instances.push((self.prims.len(), twin.number));
@@ -286,11 +296,7 @@ impl<'a> Traversal<'a> {
 
     /// The prim itself. A prototype's root is bare: what it holds belongs to the instances, which have it too.
     fn prim(&self, next: &Pending, sites: &Sites, clips: bool) -> Result<RawPrim, Fault> {
-        let mut prim = RawPrim {
-            path: next.path.to_string(),
-            parent: next.parent,
-            ..RawPrim::default()
-        };
+        let mut prim = RawPrim::typed(next.path.as_str(), "", next.parent);
         if next.root {
             return Ok(prim);
         }

@@ -7,11 +7,12 @@
 use super::child_table::{Child, ChildTable};
 use super::sites::{Fault, Site, Sites};
 use super::twin_keys::{ByKey, Key};
-use crate::stage::raw::RawPrim;
+use crate::stage::raw::{PrimCommon, RawPrim};
 use openusd::sdf::{self, AbstractData, ChildrenKey, FieldKey};
 use openusd::usd::Stage;
 use std::collections::HashMap;
 use std::rc::Rc;
+use std::sync::Arc;
 
 /// Fields of a prim spec that compose nothing.
 const IDLE: [&str; 8] = [
@@ -55,8 +56,8 @@ pub(super) struct Twin {
     own: usize,
     /// Names of the properties of the others.
     names: Vec<String>,
-    /// Without path and properties.
-    pub(super) prim: RawPrim,
+    /// What it has besides attributes.
+    pub(super) common: Arc<PrimCommon>,
     /// Of its prototype.
     pub(super) number: usize,
 }
@@ -185,18 +186,11 @@ impl Siblings {
         let (Some(own), Ok(names)) = (sites.iter().position(is_own), names) else {
             return;
         };
-        let prim = RawPrim {
-            path: String::new(),
-            attributes: Default::default(),
-            relationships: Default::default(),
-            unread: Vec::new(),
-            ..prim.clone()
-        };
         let twin = Twin {
             sites: Sites(sites),
             own,
             names,
-            prim,
+            common: Arc::clone(prim.common()),
             number,
         };
         let twin = Rc::new(twin);
@@ -258,4 +252,108 @@ fn key(data: &dyn AbstractData, path: &sdf::Path, mut names: Vec<String>) -> Opt
             sdf::Value::Specifier(sdf::Specifier::Def),
         );
     is_instance.then_some(key)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::NativeSource;
+    use crate::diagnostics::Diagnostics;
+    use crate::stage::raw::{RawAttribute, RawPrim, RawStage, Request, Value};
+    use crate::stage::{ReadSettings, Source};
+    use openusd::usdc::CrateWriter;
+    use std::fmt::Write;
+    use std::fs::File;
+    use std::sync::Arc;
+
+    /// `count` instances of a ball beside each other, and what `body` says of each, read from a binary layer.
+    fn read(count: usize, body: &dyn Fn(usize) -> String) -> RawStage {
+        let mut text = "#usda 1.0\ndef \"ball\" { def Sphere \"s\" {} }\ndef \"W\" {\n".to_owned();
+        for i in 0..count {
+            let body = body(i);
+            let name = format!("ball{i:06}");
+            writeln!(
+                text,
+                "def Xform \"{name}\" (instanceable = true\nreferences = </ball>) {{\n{body}}}"
+            )
+            .unwrap();
+        }
+        text.push('}');
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.usdc");
+        let data = openusd::usda::parse(&text).unwrap();
+        CrateWriter::write(&data, &mut File::create(&path).unwrap()).unwrap();
+        let request = Request::for_settings(&ReadSettings::default());
+        let mut source = NativeSource::open(&path).unwrap();
+        source.load(&request, &Diagnostics::default()).unwrap()
+    }
+
+    fn instances(stage: &RawStage) -> Vec<&RawPrim> {
+        let all = stage.prims.iter();
+        all.filter(|prim| prim.prototype.is_some()).collect()
+    }
+
+    /// Bytes that the allocator of glibc takes for so many.
+    fn allocated(bytes: usize) -> usize {
+        (bytes + 8).next_multiple_of(16).max(32)
+    }
+
+    /// Bytes that `prim` takes, without what others have too.
+    fn own_bytes(prim: &RawPrim) -> usize {
+        let own = prim.attributes.shared();
+        let own = own.filter(|attribute| Arc::strong_count(attribute) == 1);
+        let counted = size_of::<RawAttribute>() + 2 * size_of::<usize>();
+        let list = prim.attributes.len() * size_of::<Arc<RawAttribute>>();
+        size_of::<RawPrim>()
+            + allocated(prim.path.capacity())
+            + allocated(list)
+            + own.count() * allocated(counted)
+    }
+
+    #[test]
+    fn an_instance_takes_200_bytes_and_its_values_are_its_own() {
+        let stage = read(1100, &|i| {
+            format!(
+                "double3 xformOp:translate = ({i}, 0, 0)\nuniform token[] xformOpOrder = [\"xformOp:translate\"]\n\
+                 custom int number = {i}\n"
+            )
+        });
+        let all = instances(&stage);
+        assert_eq!(all.len(), 1100);
+        for (i, prim) in (0_u32..).zip(&all) {
+            assert_eq!(prim.path, format!("/W/ball{i:06}"));
+            assert!(Arc::ptr_eq(prim.common(), all[0].common()));
+            assert_eq!(prim.unread, ["number"]);
+            let Some(Value::Vec3(place)) = prim.attributes["xformOp:translate"].value else {
+                panic!("{:?}", prim.attributes["xformOp:translate"]);
+            };
+            assert_eq!(place.x, f64::from(i));
+            // the first two are read in other ways
+            assert!(i < 2 || own_bytes(prim) <= 200, "{}", own_bytes(prim));
+        }
+        let prototype = all[0].prototype.unwrap();
+        assert_eq!(stage.prims[prototype + 1].type_name, "Sphere");
+    }
+
+    #[test]
+    fn instances_that_differ_in_more_share_no_more_than_they_have_alike() {
+        let stage = read(1003, &|i| match i {
+            500 => "custom int other = 1\n".to_owned(),
+            501 => "token visibility = \"invisible\"\nrel r = </ball>\n".to_owned(),
+            _ => "token visibility = \"inherited\"\n".to_owned(),
+        });
+        let all = instances(&stage);
+        assert_eq!(all.len(), 1003);
+        let word = |i: usize| all[i].attributes.get("visibility").map(|a| a.value.clone());
+        let token = |word: &str| Some(Some(Value::Token(word.to_owned())));
+        assert_eq!(word(499), token("inherited"));
+        assert_eq!(word(500), None);
+        assert_eq!(word(501), token("invisible"));
+        assert_eq!(word(502), token("inherited"));
+        assert_eq!(all[500].unread, ["other"]);
+        assert_eq!(all[501].relationships["r"].targets, ["/ball"]);
+        for i in [499, 502] {
+            assert!(all[i].unread.is_empty() && all[i].relationships.is_empty());
+            assert_eq!(all[i].prototype, all[0].prototype);
+        }
+    }
 }

@@ -272,19 +272,11 @@ mod tests {
     use glam::DVec3;
 
     fn prim(path: &str, type_name: &str, parent: Option<usize>) -> RawPrim {
-        RawPrim {
-            path: path.into(),
-            type_name: type_name.into(),
-            parent,
-            ..RawPrim::default()
-        }
+        RawPrim::typed(path, type_name, parent)
     }
 
     fn with(mut prim: RawPrim, name: &str, value: Value) -> RawPrim {
-        let attribute = RawAttribute {
-            value: Some(value),
-            ..RawAttribute::default()
-        };
+        let attribute = RawAttribute::from(value);
         prim.attributes.insert(name.into(), attribute);
         prim
     }

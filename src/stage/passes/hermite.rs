@@ -1,7 +1,7 @@
 //! `HermiteCurves` → `BasisCurves` of the same shape: a cubic by its ends and its derivatives there is one by four
 //! Bézier points.
 
-use super::super::raw::{RawAttribute, RawPrim, RawStage, Value};
+use super::super::raw::{RawPrim, RawStage, Value};
 use crate::diagnostics::Diagnostics;
 use glam::Vec3;
 
@@ -66,21 +66,23 @@ fn bezier(prim: &RawPrim) -> Result<(Vec<Vec3>, Vec<i32>), String> {
 }
 
 fn rewrite(prim: &mut RawPrim, points: Vec<Vec3>, counts: Vec<i32>) {
-    for (name, attribute) in &mut prim.attributes {
-        let is_of_points = match attribute.interpolation.as_deref() {
+    let of_points = prim.attributes.iter().filter(|(name, attribute)| {
+        match attribute.interpolation.as_deref() {
             Some(interpolation) => interpolation == "vertex",
             None => matches!(name.as_str(), "widths" | "normals"),
-        };
+        }
+    });
+    let of_points: Vec<String> = of_points.map(|(name, _)| name.clone()).collect();
+    for name in of_points {
         // one value at each end of a segment, linear between
-        if is_of_points {
+        if let Some(attribute) = prim.attributes.get_mut(&name) {
             attribute.interpolation = Some("varying".to_owned());
         }
     }
     prim.attributes.remove("tangents");
     let mut set = |name: &str, value| {
-        let old = prim.attributes.remove(name).unwrap_or_default();
-        let value = Some(value);
-        let attribute = RawAttribute { value, ..old };
+        let mut attribute = prim.attributes.remove(name).unwrap_or_default();
+        attribute.value = Some(value);
         prim.attributes.insert(name.to_owned(), attribute);
     };
     set("points", Value::Vec3Array(points));
@@ -97,13 +99,11 @@ fn rewrite(prim: &mut RawPrim, points: Vec<Vec3>, counts: Vec<i32>) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::super::raw::RawAttribute;
     use super::*;
 
     fn curves(points: &[Vec3], tangents: &[Vec3], counts: &[i32]) -> RawStage {
-        let attribute = |value| RawAttribute {
-            value: Some(value),
-            ..RawAttribute::default()
-        };
+        let attribute = |value| RawAttribute::from(value);
         let values = [
             ("points", Value::Vec3Array(points.to_vec())),
             ("tangents", Value::Vec3Array(tangents.to_vec())),
@@ -111,12 +111,7 @@ mod tests {
             ("widths", Value::FloatArray(vec![0.1; points.len()])),
         ];
         let attributes = values.map(|(name, value)| (name.to_owned(), attribute(value)));
-        let prim = RawPrim {
-            path: "/curves".to_owned(),
-            type_name: TYPE.to_owned(),
-            attributes: attributes.into_iter().collect(),
-            ..RawPrim::default()
-        };
+        let prim = RawPrim::typed("/curves", TYPE, None).with(attributes.into_iter().collect());
         RawStage {
             prims: vec![prim],
             prototype_start: 1,

@@ -7,6 +7,7 @@ pub mod look;
 pub mod skinning;
 pub mod xform;
 
+pub use geometry::Surfaces;
 pub use look::light_groups::{LightGroupChoice, light_groups};
 
 use super::raw::{RawAttribute, RawMeta, RawPrim, RawStage};
@@ -29,7 +30,23 @@ pub fn scene(
     settings: &ReadSettings,
     diagnostics: &Diagnostics,
 ) -> Result<Scene, Error> {
-    Ok(scene_in(raw, settings, Detail::Full, diagnostics)?.0)
+    let how = (settings, Detail::Full);
+    Ok(scene_in(raw, how, None, diagnostics)?.0)
+}
+
+/// [`scene`] where several of one stage are made, at different times: the same scene, but surfaces that do not vary are
+/// refined for the first of them only, and kept in `surfaces`.
+///
+/// # Errors
+/// As [`scene`].
+pub fn scene_keeping(
+    raw: &RawStage,
+    settings: &ReadSettings,
+    surfaces: &mut Surfaces,
+    diagnostics: &Diagnostics,
+) -> Result<Scene, Error> {
+    let how = (settings, Detail::Full);
+    Ok(scene_in(raw, how, Some(surfaces), diagnostics)?.0)
 }
 
 /// [`scene`] with the cages of subdivision surfaces in their place, and how many triangles all that is drawn has in
@@ -42,13 +59,13 @@ pub fn outline(
     settings: &ReadSettings,
     diagnostics: &Diagnostics,
 ) -> Result<(Scene, usize), Error> {
-    scene_in(raw, settings, Detail::Cages, diagnostics)
+    scene_in(raw, (settings, Detail::Cages), None, diagnostics)
 }
 
 fn scene_in(
     raw: &RawStage,
-    settings: &ReadSettings,
-    detail: Detail,
+    (settings, detail): (&ReadSettings, Detail),
+    kept: Option<&mut Surfaces>,
     diagnostics: &Diagnostics,
 ) -> Result<(Scene, usize), Error> {
     if settings.time.is_none() {
@@ -59,7 +76,7 @@ fn scene_in(
     let layout = geometry::lay_out(raw, &occurrences, settings, diagnostics)?;
     let look = look::resolve(raw, &occurrences, layout.origin(), settings, diagnostics);
     let origin = layout.origin();
-    let built = layout.build(&look, detail, diagnostics)?;
+    let built = layout.build(&look, detail, kept, diagnostics)?;
     let of_prims = built
         .prims
         .iter()

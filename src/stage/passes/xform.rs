@@ -178,14 +178,8 @@ mod tests {
 
     /// An Xform with `ops` (name, value) in this order; `order` may repeat or invert them.
     fn xform(ops: &[(&str, Value)], order: &[&str]) -> RawPrim {
-        let attribute = |value: Value| RawAttribute {
-            value: Some(value),
-            ..RawAttribute::default()
-        };
-        let mut prim = RawPrim {
-            type_name: "Xform".into(),
-            ..RawPrim::default()
-        };
+        let attribute = |value: Value| RawAttribute::from(value);
+        let mut prim = RawPrim::typed("", "Xform", None);
         for (name, value) in ops {
             prim.attributes
                 .insert(format!("xformOp:{name}"), attribute(value.clone()));

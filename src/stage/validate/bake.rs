@@ -333,9 +333,8 @@ fn needed(prim: &RawPrim, interpolation: &str) -> Option<usize> {
     };
     match (interpolation, prim.type_name.as_str()) {
         ("constant", _) => Some(1),
-        ("vertex" | "varying", "Mesh" | "Points") | ("vertex", "BasisCurves" | "NurbsPatch") => {
-            Some(count("points"))
-        }
+        ("vertex" | "varying", "Mesh" | "Points")
+        | ("vertex", "BasisCurves" | "NurbsCurves" | "NurbsPatch") => Some(count("points")),
         ("uniform", "Mesh") => Some(count("faceVertexCounts")),
         ("faceVarying", "Mesh") => Some(count("faceVertexIndices")),
         _ => None,

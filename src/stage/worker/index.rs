@@ -1,8 +1,8 @@
 //! The worker's answer to a load: its JSON index and the flat file of arrays → [`RawStage`].
 
 use super::super::raw::{
-    MaterialxReference, RawAttribute, RawMeta, RawPrim, RawRelationship, RawStage, ReadCounts,
-    Sample, Value,
+    Declaration, MaterialxReference, PrimCommon, RawAttribute, RawMeta, RawPrim, RawRelationship,
+    RawStage, ReadCounts, Sample, Value,
 };
 use super::array_file::ArrayFile;
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3, Vec4};
@@ -184,9 +184,7 @@ impl Prim {
             };
             (name, raw)
         };
-        Ok(RawPrim {
-            attributes,
-            path,
+        let common = PrimCommon {
             type_name: self.type_name,
             parent: self.parent,
             api_schemas: self.schemas,
@@ -199,15 +197,15 @@ impl Prim {
             materialx: (self.materialx.into_iter())
                 .map(|(file, target)| MaterialxReference { file, target })
                 .collect(),
-        })
+        };
+        Ok(RawPrim::new(path, common).with(attributes))
     }
 }
 
 impl Attribute {
     fn into_raw(self, arrays: Arrays<'_>) -> Result<RawAttribute, String> {
-        Ok(RawAttribute {
+        let declaration = Declaration {
             type_name: self.type_name,
-            value: self.value.map(|value| value.into_raw(arrays)).transpose()?,
             interpolation: self.interpolation,
             element_size: self.element_size,
             weight: self.weight.map(|weight| narrow(weight.0)),
@@ -221,7 +219,10 @@ impl Attribute {
                 })),
                 None => None,
             },
-        })
+            ..Declaration::default()
+        };
+        let value = self.value.map(|value| value.into_raw(arrays)).transpose()?;
+        Ok(RawAttribute::new(declaration, value))
     }
 }
 

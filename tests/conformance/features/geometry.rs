@@ -108,10 +108,7 @@ def Xform "top" {{
 fn what_is_not_drawn_is_named() {
     for shape in [
         "TetMesh \"x\" { point3f[] points = [(0, 0, 0)]\n}",
-        "NurbsCurves \"x\" { int[] curveVertexCounts = [2]
-            int[] order = [2]
-            double[] knots = [0, 0, 1, 1]
-            point3f[] points = [(0, 0, 0), (1, 0, 0)]\n}",
+        "Volume \"x\" { float3[] extent = [(0, 0, 0), (1, 1, 1)]\n}",
     ] {
         unsupported(&format!("def {shape}"), "unsupported-prim");
     }
@@ -169,6 +166,27 @@ fn curves_of_every_type_basis_and_wrap() {
         );
         equal(&text, None, 1);
     }
+}
+
+/// A circle and a polyline in one prim, moving and turned.
+#[test]
+fn nurbs_curves() {
+    let text = "def NurbsCurves \"c\" {
+    int[] curveVertexCounts = [9, 3]
+    int[] order = [3, 2]
+    double[] knots = [0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 4, 0, 0, 1, 2, 2]
+    double2[] ranges = [(0, 4), (0.5, 2)]
+    double[] pointWeights = [1, 0.70710678, 1, 0.70710678, 1, 0.70710678, 1, 0.70710678, 1, 1, 1, 1]
+    point3f[] points.timeSamples = {
+        0: [(1, 0, 0), (1, 1, 0), (0, 1, 0), (-1, 1, 0), (-1, 0, 0), (-1, -1, 0), (0, -1, 0), (1, -1, 0), (1, 0, 0), (4, 0, 0), (5, 0, 0), (5, 2, 0)],
+        10: [(1, 0, 1), (1, 1, 1), (0, 1, 1), (-1, 1, 1), (-1, 0, 1), (-1, -1, 1), (0, -1, 1), (1, -1, 1), (1, 0, 1), (4, 0, 0), (5, 0, 0), (5, 2, 8)]
+    }
+    float[] widths = [0.2] ( interpolation = \"constant\" )
+    color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0)] ( interpolation = \"uniform\" )
+    double3 xformOp:rotateXYZ = (10, 20, 30)
+    uniform token[] xformOpOrder = [\"xformOp:rotateXYZ\"]
+}";
+    equal(text, Some(2.5), 1);
 }
 
 #[test]

@@ -59,11 +59,9 @@ mod tests {
         warnings.iter().map(|w| w.prim.clone()).collect()
     }
 
-    fn component(prim: RawPrim) -> RawPrim {
-        RawPrim {
-            kind: Some("component".into()),
-            ..prim
-        }
+    fn component(mut prim: RawPrim) -> RawPrim {
+        prim.kind = Some("component".into());
+        prim
     }
 
     #[test]

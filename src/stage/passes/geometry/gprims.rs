@@ -327,11 +327,7 @@ mod tests {
     const FINEST: usize = 100;
 
     fn gprim(type_name: &str, sizes: &[(&str, f64)], axis: &str) -> Mesh {
-        let mut prim = RawPrim {
-            path: "/g".into(),
-            type_name: type_name.into(),
-            ..RawPrim::default()
-        };
+        let mut prim = RawPrim::typed("/g", type_name, None);
         for &(name, size) in sizes {
             prim = with_attribute(prim, name, Value::Float(size), None);
         }
@@ -453,10 +449,7 @@ mod tests {
     #[test]
     fn sizes_that_are_not_positive_leave_it_out_with_a_warning() {
         for radius in [-1.0, f64::NAN] {
-            let prim = RawPrim {
-                type_name: "Sphere".into(),
-                ..RawPrim::default()
-            };
+            let prim = RawPrim::typed("", "Sphere", None);
             let prim = with_attribute(prim, "radius", Value::Float(radius), None);
             let diagnostics = Diagnostics::default();
             assert!(Gprim::read(&prim, &[], &[], &diagnostics).is_none());
@@ -466,10 +459,7 @@ mod tests {
 
     #[test]
     fn constant_display_color_is_kept() {
-        let prim = RawPrim {
-            type_name: "Sphere".into(),
-            ..RawPrim::default()
-        };
+        let prim = RawPrim::typed("", "Sphere", None);
         let color = Value::Vec3Array(vec![Vec3::ONE]);
         let prim = with_attribute(prim, "primvars:displayColor", color, None);
         let names = ["displayColor".to_owned()];

@@ -27,6 +27,7 @@ mod primvars;
 mod refinement;
 mod solids;
 mod subdivision;
+mod surfaces;
 mod topology;
 mod triangulate;
 mod world;
@@ -49,6 +50,7 @@ use point_set::PointSet;
 use rayon::prelude::*;
 use refinement::Fineness;
 use std::collections::HashMap;
+pub use surfaces::Surfaces;
 
 /// Primvars that are kept whether or not a material reads them.
 const ALWAYS_KEPT: [&str; 3] = ["displayColor", "displayOpacity", "st"];
@@ -109,7 +111,8 @@ impl Layout<'_> {
         self.origin
     }
 
-    /// Make the geometry.
+    /// Make the geometry; with `kept`, in [`Detail::Full`] whatever is asked for, and surfaces that were refined for another
+    /// time are taken from there.
     ///
     /// # Errors
     /// Meshes whose arrays contradict each other or whose points are not finite; cancellation.
@@ -117,6 +120,7 @@ impl Layout<'_> {
         &self,
         look: &Look,
         detail: Detail,
+        kept: Option<&mut Surfaces>,
         diagnostics: &Diagnostics,
     ) -> Result<Built, Error> {
         let mut names = kept_primvars(look);
@@ -131,11 +135,13 @@ impl Layout<'_> {
         self.ask_for_depth(&geometries, &mut sources);
         let levels = refinement::levels(&self.demands(&geometries, &sources), diagnostics);
         diagnostics.check()?;
-        let made: Vec<Option<Made>> = sources
-            .into_par_iter()
-            .zip(levels)
-            .map(|(source, level)| make(source, level, detail, diagnostics))
-            .collect();
+        let asked: Vec<Asked> = sources.into_iter().zip(levels).collect();
+        let made = match kept {
+            Some(kept) => kept.make(&geometries, &names, asked, diagnostics),
+            None => (asked.into_par_iter())
+                .map(|(source, level)| make(source, level, detail, diagnostics))
+                .collect(),
+        };
         diagnostics.check()?;
         Ok(self.assemble(&geometries, made, look, diagnostics))
     }
@@ -424,7 +430,11 @@ pub struct Built {
     pub triangles: Vec<usize>,
 }
 
+/// A source, and how often it is refined.
+type Asked<'a> = (Source<'a>, usize);
+
 /// A mesh, where its own origin lies, and how many triangles it has in [`Detail::Full`].
+#[derive(Debug, Clone)]
 struct Made {
     mesh: Mesh,
     center: DVec3,

@@ -72,8 +72,38 @@ impl Knots {
         let span = self.span(u);
         let degree = self.order - 1;
         let values = self.functions(span, u, degree);
-        let lower = self.functions(span, u, degree - 1);
-        // derivative of N(i, p) = p (N(i, p−1) / (u[i+p] − u[i]) − N(i+1, p−1) / (u[i+p+1] − u[i+1]))
+        let slopes = self.derivatives(span, u, degree, 1);
+        Blend {
+            first: span - degree,
+            weights: values.into_iter().zip(slopes).collect(),
+        }
+    }
+
+    /// The knot intervals of some width between `from` and `to`, each by its number and as much of it as lies there.
+    pub(super) fn intervals(&self, from: f64, to: f64) -> Vec<(usize, f64, f64)> {
+        let all = self.order - 1..self.count;
+        let cut = all.map(|span| {
+            let (start, end) = (self.knots[span], self.knots[span + 1]);
+            (span, start.max(from), end.min(to))
+        });
+        cut.filter(|(_, start, end)| start < end).collect()
+    }
+
+    /// The `times`-th derivatives, at `parameter` in the knot interval `span`, of the functions that are not 0 there. The
+    /// first of them belongs to control point `span` + 1 − order.
+    pub(super) fn weights(&self, span: usize, parameter: f64, times: usize) -> Vec<f64> {
+        self.derivatives(span, parameter, self.order - 1, times)
+    }
+
+    /// Derivative of N(i, p) = p (N(i, p−1) / (u[i+p] − u[i]) − N(i+1, p−1) / (u[i+p+1] − u[i+1])), *The NURBS Book*, 2.7.
+    fn derivatives(&self, span: usize, u: f64, degree: usize, times: usize) -> Vec<f64> {
+        if times == 0 {
+            return self.functions(span, u, degree);
+        }
+        if degree == 0 {
+            return vec![0.0];
+        }
+        let lower = self.derivatives(span, u, degree - 1, times - 1);
         #[expect(clippy::cast_precision_loss, reason = "a degree")]
         let p = degree as f64;
         let part = |at: usize| {
@@ -86,15 +116,12 @@ impl Knots {
                 0.0
             }
         };
-        let weights = values.iter().enumerate().map(|(at, &value)| {
+        let all = (0..=degree).map(|at| {
             let before = if at > 0 { part(at - 1) } else { 0.0 };
             let after = if at < degree { part(at) } else { 0.0 };
-            (value, before - after)
+            before - after
         });
-        Blend {
-            first: span - degree,
-            weights: weights.collect(),
-        }
+        all.collect()
     }
 
     /// The last knot interval of some width that holds `u` or ends there.
@@ -172,6 +199,26 @@ mod tests {
             );
             assert!(blend.first + 3 <= 6);
         }
+    }
+
+    #[test]
+    fn derivatives_are_those_of_the_values() {
+        let knots = Knots::new(&[0.0, 0.0, 0.5, 1.0, 1.0, 2.5, 3.0, 4.0, 4.0], 4, 5).unwrap();
+        assert_eq!(
+            knots.intervals(1.5, 9.0),
+            [(4, 1.5, 2.5)],
+            "the domain ends at 2.5"
+        );
+        let (u, step) = (1.7, 1e-5);
+        for times in [1, 2, 3] {
+            let at = |u| knots.weights(4, u, times - 1);
+            let (before, after) = (at(u - step), at(u + step));
+            for (i, found) in knots.weights(4, u, times).into_iter().enumerate() {
+                let slope = (after[i] - before[i]) / (2.0 * step);
+                assert!((found - slope).abs() < 1e-6, "{found} {slope}");
+            }
+        }
+        assert_eq!(knots.weights(4, u, 4), [0.0; 4]);
     }
 
     #[test]

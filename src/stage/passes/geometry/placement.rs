@@ -9,6 +9,7 @@ use super::super::super::raw::{RawAttribute, RawPrim, RawStage};
 use super::super::DEFAULT_TIME_CODES_PER_SECOND;
 use super::super::flatten::{Occurrence, authored_purpose, is_invisible};
 use super::super::xform;
+use super::curves;
 use super::draw_modes;
 use super::gprims;
 use super::instancer::{self, Moment, Point};
@@ -44,9 +45,8 @@ pub(super) enum Kind {
     Nothing,
 }
 
-const UNSUPPORTED: [&str; 8] = [
+const UNSUPPORTED: [&str; 7] = [
     "HermiteCurves",
-    "NurbsCurves",
     "TetMesh",
     "Volume",
     "GenerativeProcedural",
@@ -59,7 +59,7 @@ impl Kind {
     pub(super) fn of(prim: &RawPrim) -> Self {
         match prim.type_name.as_str() {
             "Mesh" => Self::Mesh,
-            "BasisCurves" => Self::Curves,
+            "BasisCurves" | curves::NURBS => Self::Curves,
             "NurbsPatch" => Self::Patch,
             "Points" => Self::Points,
             "PointInstancer" => Self::Instancer,

@@ -293,11 +293,7 @@ mod tests {
     use super::*;
 
     fn points(values: Vec<(&str, Value)>) -> RawPrim {
-        let prim = RawPrim {
-            path: "/p".to_owned(),
-            type_name: "Points".to_owned(),
-            ..RawPrim::default()
-        };
+        let prim = RawPrim::typed("/p", "Points", None);
         let add = |prim, (name, value)| with_attribute(prim, name, value, None);
         values.into_iter().fold(prim, add)
     }

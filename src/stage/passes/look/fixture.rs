@@ -15,12 +15,8 @@ impl Fixture {
     /// Add a prim; its parent must be there already. `/__Prototype_…` prims come last.
     pub(super) fn prim(mut self, path: &str, type_name: &str) -> Self {
         let parent = path.rsplit_once('/').map_or("", |(parent, _)| parent);
-        self.raw.prims.push(RawPrim {
-            path: path.to_owned(),
-            type_name: type_name.to_owned(),
-            parent: self.raw.find(parent),
-            ..RawPrim::default()
-        });
+        let parent = self.raw.find(parent);
+        self.raw.prims.push(RawPrim::typed(path, type_name, parent));
         if !path.starts_with("/__Prototype") {
             self.raw.prototype_start = self.raw.prims.len();
         }
@@ -51,10 +47,7 @@ impl Fixture {
     }
 
     pub(super) fn value(mut self, name: &str, value: Value) -> Self {
-        let attribute = RawAttribute {
-            value: Some(value),
-            ..RawAttribute::default()
-        };
+        let attribute = RawAttribute::from(value);
         self.last().attributes.insert(name.to_owned(), attribute);
         self
     }

@@ -413,10 +413,7 @@ mod tests {
             .connect("inputs:varname", "/M.inputs:name")
             .value("inputs:fallback", rgb(1.0, 2.0, 3.0));
         let mut stage = stage;
-        let name = crate::stage::raw::RawAttribute {
-            value: Some(Value::Token("glow".to_owned())),
-            ..Default::default()
-        };
+        let name = crate::stage::raw::RawAttribute::from(Value::Token("glow".to_owned()));
         stage.raw.prims[0]
             .attributes
             .insert("inputs:name".to_owned(), name);

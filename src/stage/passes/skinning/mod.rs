@@ -112,10 +112,7 @@ fn place(prim: &mut RawPrim, matrix: DMat4) {
         (OP, Value::Matrix(Box::new(matrix))),
         ("xformOpOrder", Value::TokenArray(order)),
     ] {
-        let attribute = RawAttribute {
-            value: Some(value),
-            ..RawAttribute::default()
-        };
+        let attribute = RawAttribute::from(value);
         prim.attributes.insert(name.to_owned(), attribute);
     }
 }
@@ -443,20 +440,11 @@ mod tests {
         values: &[(&str, Value)],
     ) -> RawPrim {
         let attribute = |(name, value): &(&str, Value)| {
-            let attribute = RawAttribute {
-                value: Some(value.clone()),
-                interpolation: Some("vertex".to_owned()),
-                ..RawAttribute::default()
-            };
+            let mut attribute = RawAttribute::from(value.clone());
+            attribute.interpolation = Some("vertex".to_owned());
             ((*name).to_owned(), attribute)
         };
-        RawPrim {
-            path: path.to_owned(),
-            type_name: type_name.to_owned(),
-            parent,
-            attributes: values.iter().map(attribute).collect(),
-            ..RawPrim::default()
-        }
+        RawPrim::typed(path, type_name, parent).with(values.iter().map(attribute).collect())
     }
 
     /// Two points on one joint that rests a unit above where it was bound.

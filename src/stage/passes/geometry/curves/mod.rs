@@ -1,4 +1,4 @@
-//! Curves → tubes and ribbons of triangles.
+//! Curves, by a basis or as NURBS, → tubes and ribbons of triangles.
 //!
 //! Curves without normals are round tubes with open ends, `widths` across; with normals they are flat ribbons. How
 //! finely they are cut: no further from the true curve than [`Curves::tessellate`] is asked for, within bounds of its own;
@@ -6,6 +6,7 @@
 //! however few sides it has.
 
 mod basis;
+mod spline;
 mod strand;
 
 use super::super::super::raw::RawPrim;
@@ -16,8 +17,12 @@ use crate::diagnostics::Diagnostics;
 use crate::scene::{Interpolation, Mesh, Normals, Primvar};
 use basis::{Form, Order, Place};
 use glam::{DVec3, Vec3, Vec4};
+use spline::Spline;
 use std::ops::Range;
 use strand::{Station, Strands};
+
+/// The type whose curves have knots.
+pub(super) const NURBS: &str = "NurbsCurves";
 
 /// Triangles of one prim, at most; coarser tubes from there on. 4 M hold 60 k hairs of 16 three-sided pieces.
 const TRIANGLE_BUDGET: usize = 4_000_000;
@@ -38,7 +43,6 @@ const PIECE_DEPTH: f64 = 0.02;
 #[derive(Debug)]
 pub(super) struct Curves<'a> {
     body: Body<'a>,
-    form: Form,
     curves: Vec<Curve>,
 }
 
@@ -48,6 +52,7 @@ struct Curve {
     /// Its number among all of the prim.
     number: u32,
     points: Range<usize>,
+    spline: Spline,
     segments: usize,
     /// First of its values of `varying` interpolation.
     first_varying: usize,
@@ -66,12 +71,14 @@ impl<'a> Curves<'a> {
             diagnostics.warn("bad-curves", prim.path.clone(), message);
         };
         let points = vectors(prim, "points");
-        let form = checked_form(prim, points)
+        let splines = checked_splines(prim, points)
             .map_err(|flaw| warn(format!("{flaw}; left out")))
             .ok()?;
         let counts = ints(prim, "curveVertexCounts");
-        let (curves, varying_total) = split(counts, form);
-        if curves.is_empty() {
+        let first_flaw = splines.iter().find_map(|spline| spline.as_ref().err());
+        let flaw = first_flaw.cloned();
+        let (curves, varying_total) = split(counts, splines);
+        if curves.is_empty() && flaw.is_none() {
             diagnostics.warn(
                 "empty-mesh",
                 prim.path.clone(),
@@ -81,16 +88,22 @@ impl<'a> Curves<'a> {
         }
         if curves.len() < counts.len() {
             let left_out = counts.len() - curves.len();
+            let flaw = flaw.map_or_else(
+                || "a number of points that their basis and wrap cannot have".to_owned(),
+                |flaw| format!("what no curve can have, the first of them {flaw}"),
+            );
             warn(format!(
-                "{left_out} of {} curves have a number of points that their basis and wrap cannot have; they are left out",
+                "{left_out} of {} curves have {flaw}; they are left out",
                 counts.len()
             ));
+        }
+        if curves.is_empty() {
+            return None;
         }
         let layouts = Layouts::of(counts.len(), points.len(), varying_total);
         let body = (prim, points, "curves");
         Some(Self {
             body: Body::read(body, (inherited, names), &layouts, diagnostics),
-            form,
             curves,
         })
     }
@@ -104,7 +117,7 @@ impl<'a> Curves<'a> {
         for (curve, shape) in self.curves.iter().zip(&plan.shapes) {
             let places = self.places(curve, shape.pieces);
             let stations: Vec<_> = places.iter().map(|&at| self.station(curve, at)).collect();
-            let is_closed = self.form.wrap == basis::Wrap::Periodic;
+            let is_closed = curve.spline.is_closed();
             let width = match self.body.normals {
                 Some(_) => strands.add_ribbon(&stations, is_closed, curve.number),
                 None => strands.add_tube(&stations, is_closed, (curve.number, shape.sides)),
@@ -118,7 +131,8 @@ impl<'a> Curves<'a> {
                 }
             }
         }
-        let is_closed = self.form.wrap == basis::Wrap::Periodic && self.body.normals.is_none();
+        let mut all = self.curves.iter();
+        let is_closed = all.all(|curve| curve.spline.is_closed()) && self.body.normals.is_none();
         let center = self.body.center;
         (self.finish(strands, values, is_closed), center)
     }
@@ -189,13 +203,13 @@ impl<'a> Curves<'a> {
         }
     }
 
-    /// Pieces that `segment` is cut into: a chord over 1/n of it is |second derivative| / 8n² deep at most, and that
-    /// derivative is largest at an end.
+    /// Pieces that `segment` is cut into: a chord over 1/n of it is |second derivative| / 8n² deep at most.
     fn pieces(&self, curve: &Curve, segment: usize, depth: f64) -> usize {
         let at = |t: f64, order| self.sum(curve, Place { segment, t }, order);
-        let bend = at(0.0, Order::Second)
-            .length()
-            .max(at(1.0, Order::Second).length());
+        let bends = curve.spline.bends().iter();
+        let bend = bends
+            .map(|&t| at(t, Order::Second).length())
+            .fold(0.0, f64::max);
         let length = (at(1.0, Order::Value) - at(0.0, Order::Value)).length();
         let length = length.max(at(0.5, Order::First).length());
         let depth = depth.min(PIECE_DEPTH * length);
@@ -218,7 +232,7 @@ impl<'a> Curves<'a> {
                 t: as_f64(piece) / as_f64(pieces),
             }));
         }
-        if self.form.wrap != basis::Wrap::Periodic {
+        if !curve.spline.is_closed() {
             all.push(Place {
                 segment: curve.segments - 1,
                 t: 1.0,
@@ -231,10 +245,10 @@ impl<'a> Curves<'a> {
         let normals = self.body.normals.as_ref();
         Station {
             position: self.sum(curve, at, Order::Value) - self.body.center,
-            tangent: match self.form.basis {
+            tangent: match curve.spline.is_polyline() {
                 // the polyline's corners want more than one side's direction
-                basis::Basis::Linear => DVec3::ZERO,
-                _ => self.sum(curve, at, Order::First),
+                true => DVec3::ZERO,
+                false => self.sum(curve, at, Order::First),
             },
             radius: self.radius(curve, at),
             normal: normals.map(|normals| self.value(normals, curve, at).truncate().as_dvec3()),
@@ -243,7 +257,7 @@ impl<'a> Curves<'a> {
 
     fn sum(&self, curve: &Curve, at: Place, order: Order) -> DVec3 {
         let points = &self.body.points[curve.points.clone()];
-        let weights = self.form.weights(points.len(), at, order);
+        let weights = curve.spline.weights(points.len(), at, order);
         let weighted = weights
             .iter()
             .map(|&(i, weight)| points[i].as_dvec3() * weight);
@@ -265,16 +279,19 @@ impl<'a> Curves<'a> {
             Layout::Constant => element(0),
             Layout::Uniform => element(curve.number as usize),
             Layout::Vertex => {
-                let weights = self.form.weights(curve.points.len(), at, Order::Value);
+                let spline = &curve.spline;
+                let weights = spline.weights(curve.points.len(), at, Order::Value);
                 let weighted = weights
                     .iter()
                     .map(|&(i, weight)| element(curve.points.start + i) * narrow(weight));
                 weighted.sum()
             }
             Layout::Varying | Layout::FaceVarying => {
-                let count = self.form.varying_count(curve.segments);
+                let spline = &curve.spline;
+                let count = spline.varying_count(curve.segments, curve.points.len());
                 let end = |at: usize| element(curve.first_varying + at % count);
-                end(at.segment).lerp(end(at.segment + 1), narrow(at.t))
+                let start = spline.varying_at(at.segment);
+                end(start).lerp(end(start + 1), narrow(at.t))
             }
         }
     }
@@ -306,9 +323,8 @@ fn laid_out(primvar: &AuthoredPrimvar, values: Vec<Vec4>) -> Primvar {
     }
 }
 
-/// The form of `prim`, if its arrays agree with each other.
-fn checked_form(prim: &RawPrim, points: &[Vec3]) -> Result<Form, String> {
-    let form = Form::read(prim)?;
+/// What each curve of `prim` is, or what is wrong with it, if the prim's arrays agree with each other.
+fn checked_splines(prim: &RawPrim, points: &[Vec3]) -> Result<Vec<Result<Spline, String>>, String> {
     let counts = ints(prim, "curveVertexCounts");
     if let Some(count) = counts.iter().find(|&&count| count < 0) {
         return Err(format!("curveVertexCounts has a {count}, below 0"));
@@ -322,26 +338,33 @@ fn checked_form(prim: &RawPrim, points: &[Vec3]) -> Result<Form, String> {
     }
     match points.iter().position(|point| !point.is_finite()) {
         Some(index) => Err(format!("point {index} is {}, not finite", points[index])),
-        None => Ok(form),
+        None if prim.type_name == NURBS => spline::nurbs(prim, counts),
+        None => {
+            let form = Form::read(prim)?;
+            Ok(vec![Ok(Spline::Basis(form)); counts.len()])
+        }
     }
 }
 
 /// The curves that can be drawn, and how many values of `varying` interpolation all have.
-fn split(counts: &[i32], form: Form) -> (Vec<Curve>, usize) {
+fn split(counts: &[i32], splines: Vec<Result<Spline, String>>) -> (Vec<Curve>, usize) {
     let (mut curves, mut first_point, mut first_varying) = (Vec::new(), 0, 0);
-    for (number, &count) in (0..).zip(counts) {
+    for ((number, &count), spline) in (0..).zip(counts).zip(splines) {
         let count = usize::try_from(count).unwrap_or(0);
-        let segments = form.segments(count);
-        if let Some(segments) = segments {
+        let spline = spline.ok();
+        let drawn = spline.and_then(|spline| Some((spline.segments(count)?, spline)));
+        if let Some((segments, spline)) = drawn {
+            let varying_count = spline.varying_count(segments, count);
             curves.push(Curve {
                 number,
                 points: first_point..first_point + count,
+                spline,
                 segments,
                 first_varying,
             });
+            first_varying += varying_count;
         }
         first_point += count;
-        first_varying += segments.map_or(0, |segments| form.varying_count(segments));
     }
     (curves, first_varying)
 }

@@ -250,3 +250,191 @@ fn what_cannot_be_drawn_is_told() {
         (false, vec!["empty-mesh".to_owned()])
     );
 }
+
+fn nurbs(orders: &[i32], counts: &[i32], knots: &[f32], points: &[Vec3]) -> RawPrim {
+    let made = prim("/c", NURBS, None);
+    let made = with_ints(made, "curveVertexCounts", counts);
+    let made = with_ints(made, "order", orders);
+    let made = with_attribute(made, "knots", Value::FloatArray(knots.to_vec()), None);
+    let made = with_attribute(made, "points", Value::Vec3Array(points.to_vec()), None);
+    let width = Value::FloatArray(vec![0.02]);
+    with_attribute(made, "widths", width, Some("constant"))
+}
+
+/// A circle of radius 3 about the z axis: nine points of a square, with weights 1 and √½ by turns.
+fn circle() -> RawPrim {
+    let corners = [
+        [1, 0],
+        [1, 1],
+        [0, 1],
+        [-1, 1],
+        [-1, 0],
+        [-1, -1],
+        [0, -1],
+        [1, -1],
+        [1, 0],
+    ];
+    let points = corners.map(|[x, y]: [i8; 2]| 3.0 * Vec3::new(f32::from(x), f32::from(y), 0.0));
+    let knots = [0.0, 0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0, 4.0];
+    let weights = (0..9).map(|i| if i % 2 == 0 { 1.0 } else { 0.5_f32.sqrt() });
+    let weights = Value::FloatArray(weights.collect());
+    with_attribute(
+        nurbs(&[3], &[9], &knots, &points),
+        "pointWeights",
+        weights,
+        None,
+    )
+}
+
+#[test]
+fn a_rational_quadratic_is_a_circle() {
+    let made = circle();
+    let (read, _) = read(&made);
+    let read = read.unwrap();
+    let curve = &read.curves[0];
+    for segment in 0..4 {
+        for t in [0.0, 0.1, 0.37, 0.5, 0.81, 1.0] {
+            let at = |order| read.sum(curve, Place { segment, t }, order);
+            let (place, slope, bend) = (at(Order::Value), at(Order::First), at(Order::Second));
+            assert!((place.length() - 3.0).abs() < 1e-6, "{}", place.length());
+            assert!(
+                place.dot(slope).abs() < 1e-6,
+                "the tangent is at right angles"
+            );
+            let curvature = slope.cross(bend).length() / slope.length().powi(3);
+            assert!((curvature - 1.0 / 3.0).abs() < 1e-6, "{curvature}");
+        }
+    }
+    for depth in [1e-2, 1e-4] {
+        let mesh = mesh(&made, depth);
+        let expected = TAU * 3.0 * TAU * 0.01; // a torus
+        assert!((area(&mesh) / expected - 1.0).abs() < depth + 1e-4);
+        let reach = mesh.positions.iter().map(|p| p.truncate().length());
+        assert!(reach.fold(0.0, f32::max) < 3.02);
+    }
+}
+
+#[test]
+fn a_range_draws_its_part_of_a_curve_only() {
+    let ranges = Value::Vec2Array(vec![glam::Vec2::new(0.0, 1.0)]);
+    let mesh = mesh(&with_attribute(circle(), "ranges", ranges, None), 1e-4);
+    assert!((area(&mesh) / (TAU * 3.0 / 4.0 * TAU * 0.01) - 1.0).abs() < 1e-3);
+    let least = mesh.positions.iter().map(|p| p.x.min(p.y));
+    assert!(
+        least.fold(0.0, f32::min) > -0.02,
+        "the first quarter, and its width"
+    );
+}
+
+/// Evenly spaced knots, and those with `order` equal ones at each end: what the bases of `BasisCurves` are.
+#[test]
+fn nurbs_with_the_knots_of_a_basis_are_the_curves_of_that_basis() {
+    let points = [
+        Vec3::ZERO,
+        Vec3::new(1.0, 2.0, 0.5),
+        Vec3::new(2.0, 2.0, 3.0),
+        Vec3::new(4.0, 0.0, 1.0),
+        Vec3::new(5.0, 1.0, -1.0),
+        Vec3::new(7.0, 0.0, 0.0),
+        Vec3::new(8.0, 3.0, 0.0),
+    ];
+    let even: Vec<f32> = (0..11_u8).map(f32::from).collect();
+    let thrice = [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0];
+    let once = [0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 6.0];
+    for (form, order, knots) in [
+        (["cubic", "bspline", "nonperiodic"], 4, &even[..]),
+        (["cubic", "bezier", "nonperiodic"], 4, &thrice[..]),
+        (LINEAR, 2, &once[..]),
+    ] {
+        let expected = curves(form, &[7], &points);
+        let width = Value::FloatArray(vec![0.02]);
+        let expected = mesh(
+            &with_attribute(expected, "widths", width, Some("constant")),
+            1e-3,
+        );
+        // two in one prim, the second farther up
+        let both: Vec<Vec3> = points
+            .iter()
+            .chain(&points.map(|p| p + 9.0 * Vec3::Z))
+            .copied()
+            .collect();
+        let knots = [knots, knots].concat();
+        let found = mesh(&nurbs(&[order; 2], &[7; 2], &knots, &both), 1e-3);
+        let count = expected.positions.len();
+        assert_eq!(found.positions.len(), 2 * count, "{form:?}");
+        let lift = found.positions[count] - found.positions[0];
+        assert!(lift.distance(9.0 * Vec3::Z) < 1e-5);
+        let offset = found.positions[0] - expected.positions[0];
+        for (found, expected) in found.positions.iter().zip(&expected.positions) {
+            assert!(
+                (*found - offset).distance(*expected) < 1e-5,
+                "{form:?}: {found} {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn values_of_nurbs_lie_at_knots_or_control_points() {
+    let points: Vec<Vec3> = (0..5_u8)
+        .map(|i| Vec3::new(f32::from(i), 0.0, 0.0))
+        .collect();
+    // a knot that is there twice: 4 values, two of them at one place
+    let knots = [0.0, 0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 2.0];
+    let made = nurbs(&[3], &[5], &knots, &points);
+    let made = with_attribute(
+        made,
+        "primvars:displayColor",
+        Value::Vec3Array(points.clone()),
+        Some("vertex"),
+    );
+    let st = Value::FloatArray(vec![0.0, 2.0, 6.0, 8.0]);
+    let mesh = mesh(
+        &with_attribute(made, "primvars:st", st, Some("varying")),
+        1.0,
+    );
+    let color = mesh.primvar("displayColor").unwrap();
+    for (position, value) in mesh.positions.iter().zip(&color.values) {
+        assert!((position.x - value.x).abs() < 1e-5, "{position} {value}");
+    }
+    let st = &mesh.primvar("st").unwrap().values;
+    assert_eq!(st[0].x, 0.0);
+    assert_eq!(st[st.len() - 1].x, 8.0);
+}
+
+#[test]
+fn nurbs_that_cannot_be_drawn_are_told() {
+    let line = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z];
+    let knots = [0.0, 0.0, 1.0, 1.0];
+    let told = |prim: RawPrim| {
+        let diagnostics = Diagnostics::default();
+        let count = Curves::read(&prim, &[], &[], &diagnostics).map(|read| read.curves.len());
+        let messages = diagnostics.warnings().into_iter().map(|w| w.message);
+        (count.unwrap_or(0), messages.collect::<Vec<_>>().join("; "))
+    };
+    let two = |orders: &[i32], knots: &[f32]| told(nurbs(orders, &[2, 2], knots, &line));
+    let (count, message) = two(&[2], &knots.repeat(2));
+    assert!(
+        count == 0 && message.contains("1 orders, 2 are needed"),
+        "{message}"
+    );
+    let (count, message) = two(&[2, 2], &knots);
+    assert!(
+        count == 0 && message.contains("4 knots, 8 are needed"),
+        "{message}"
+    );
+    let backwards = [knots, [0.0, 1.0, 0.5, 2.0]].concat();
+    let (count, message) = two(&[2, 2], &backwards);
+    assert!(count == 1 && message.contains("1 of 2 curves"), "{message}");
+    let (count, message) = two(&[2, 3], &[&knots[..], &[0.0; 5]].concat());
+    assert!(count == 1 && message.contains("order 3"), "{message}");
+    let (count, _) = two(&[-1, i32::MAX], &[&knots[..], &knots].concat());
+    assert_eq!(count, 0);
+    let weights = Value::FloatArray(vec![1.0, 1.0, 0.0, 1.0]);
+    let prim = nurbs(&[2, 2], &[2, 2], &knots.repeat(2), &line);
+    let (count, message) = told(with_attribute(prim, "pointWeights", weights, None));
+    assert!(count == 1 && message.contains("not above 0"), "{message}");
+    let many = vec![Vec3::ZERO; 100];
+    let (count, message) = told(nurbs(&[100], &[100], &[0.0; 200], &many));
+    assert!(count == 0 && message.contains("at most"), "{message}");
+}

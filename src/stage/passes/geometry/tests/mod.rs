@@ -14,11 +14,8 @@ pub(super) fn with_attribute(
     value: Value,
     interpolation: Option<&str>,
 ) -> RawPrim {
-    let attribute = RawAttribute {
-        value: Some(value),
-        interpolation: interpolation.map(str::to_owned),
-        ..RawAttribute::default()
-    };
+    let mut attribute = RawAttribute::from(value);
+    attribute.interpolation = interpolation.map(str::to_owned);
     prim.attributes.insert(name.to_owned(), attribute);
     prim
 }
@@ -41,12 +38,7 @@ pub(super) fn with_token(prim: RawPrim, name: &str, word: &str) -> RawPrim {
 }
 
 pub(super) fn prim(path: &str, type_name: &str, parent: Option<usize>) -> RawPrim {
-    RawPrim {
-        path: path.to_owned(),
-        type_name: type_name.to_owned(),
-        parent,
-        ..RawPrim::default()
-    }
+    RawPrim::typed(path, type_name, parent)
 }
 
 fn under(mut prim: RawPrim, parent: usize) -> RawPrim {
@@ -65,7 +57,7 @@ fn transformed(prim: RawPrim, matrix: DMat4) -> RawPrim {
     )
 }
 
-fn moved(prim: RawPrim, x: f64, y: f64, z: f64) -> RawPrim {
+pub(super) fn moved(prim: RawPrim, x: f64, y: f64, z: f64) -> RawPrim {
     transformed(prim, DMat4::from_translation(DVec3::new(x, y, z)))
 }
 
@@ -90,7 +82,7 @@ fn build_in(raw: &RawStage, look: &Look, detail: Detail) -> Result<(Built, Vec<u
     let diagnostics = Diagnostics::default();
     let occurrences = flatten(raw, &settings, &diagnostics);
     let layout = lay_out(raw, &occurrences, &settings, &diagnostics)?;
-    let made = layout.build(look, detail, &diagnostics)?;
+    let made = layout.build(look, detail, None, &diagnostics)?;
     let warnings = diagnostics.warnings().into_iter().map(|w| w.kind).collect();
     let built = Built {
         meshes: made.meshes,
@@ -371,7 +363,7 @@ fn skinning_is_named_where_a_skeleton_is_bound_with_or_without_the_api() {
 #[test]
 fn types_that_cannot_be_drawn_are_named() {
     let built = build_all(vec![
-        prim("/hair", "NurbsCurves", None),
+        prim("/fog", "Volume", None),
         prim("/x", "Xform", None),
     ]);
     assert_eq!(built.warnings, ["unsupported-prim"]);
