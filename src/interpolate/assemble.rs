@@ -8,6 +8,13 @@ use glam::Vec3;
 use std::borrow::Cow;
 
 impl Work<'_> {
+    /// `values` of the base at all receivers as results.
+    pub(super) fn blended(&self, values: &[f32]) -> Results {
+        let mut found = apart(values, self.base);
+        found.buffers.iter_mut().for_each(put_in_range);
+        found
+    }
+
     /// The AOVs asked for, from `values` of the base at all receivers.
     pub(super) fn assemble(&self, values: &[f32]) -> Result<Results, Cancelled> {
         let Gathering {
@@ -17,8 +24,7 @@ impl Work<'_> {
             aovs,
             ..
         } = self.gathering;
-        let mut found = apart(values, self.base);
-        found.buffers.iter_mut().for_each(put_in_range);
+        let mut found = self.blended(values);
         let visibility = found.get(Aov::Visibility);
         let occlusion: Option<Vec<f32>> =
             visibility.map(|open| open.data.iter().map(|open| 1.0 - open).collect());

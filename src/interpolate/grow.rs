@@ -43,8 +43,8 @@ pub(super) struct Strictness {
 }
 
 impl Strictness {
-    /// What is enough in most runs. With two and a half times the room and the bend two teapots in a box take 0.8 of the time
-    /// and are a tenth farther off, but rough gloss is twice as far off.
+    /// What is enough in most runs. Where 2.5 times as much is crowded and twice as much bent, two teapots in a box take 0.8 of
+    /// the time and are a tenth farther off, but rough gloss is twice as far off.
     pub(super) const FIRST: Self = Self {
         rough: 1.5,
         room: Room {
@@ -53,13 +53,10 @@ impl Strictness {
         },
     };
 
-    /// Where it is not: errors are half of those, since they grow with the square of the distance.
+    /// Where it is not.
     pub(super) const SECOND: Self = Self {
         rough: 0.75,
-        room: Room {
-            crowded: 0.07,
-            bent: 0.14,
-        },
+        ..Self::FIRST
     };
 }
 

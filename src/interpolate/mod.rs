@@ -91,8 +91,9 @@ pub fn pays(receivers: &Receivers, aovs: &[Aov]) -> bool {
 /// Fewer receivers are not worth it: their cells are coarser than what they show.
 const FEWEST: usize = 4096;
 
-/// Like [`gather::gather`], but not at every receiver, where that [`pays`]. Results that `accepts` refuses are replaced by
-/// those of a gather at every receiver, as far as they are not. The same bits for any number of threads.
+/// Like [`gather::gather`], but not at every receiver, where that [`pays`]. Results that `accepts` refuses are made of smoother
+/// cells, then of seeds that have looked [`again`](Gathering::again), in the end by a gather at every receiver. It is asked
+/// first with what is blended, then with all. The same bits for any number of threads.
 ///
 /// # Errors
 /// When cancelled.
@@ -141,14 +142,18 @@ pub fn gather(
             fault = untrue;
             continue;
         }
-        let results = work.assemble(&told.values)?;
-        let is_refused = step == Step::Everywhere;
-        if is_refused || told.blended.is_empty() || accepts(&results) {
-            return Ok(Interpolated {
-                results,
-                gathered: field.seeds.len() + field.checked,
-                is_refused,
-            });
+        let is_last = step == Step::Everywhere;
+        let is_done = |results: &Results| is_last || told.blended.is_empty() || accepts(results);
+        // What is blended, before all that follows from it: light is sampled anew for that.
+        if is_done(&work.blended(&told.values)) {
+            let results = work.assemble(&told.values)?;
+            if is_done(&results) {
+                return Ok(Interpolated {
+                    results,
+                    gathered: field.seeds.len() + field.checked,
+                    is_refused: is_last,
+                });
+            }
         }
         fault = Fault::Refused;
     }
