@@ -77,6 +77,16 @@ impl Run<'_> {
     }
 
     fn interpolated(&self, tolerance: f64, accepts: &dyn Fn(&Results) -> bool) -> Interpolated {
+        self.interpolated_after(0, tolerance, accepts)
+    }
+
+    /// The same where the first `refusals` results are refused.
+    fn interpolated_after(
+        &self,
+        refusals: u32,
+        tolerance: f64,
+        accepts: &dyn Fn(&Results) -> bool,
+    ) -> Interpolated {
         let diagnostics = Diagnostics::default();
         let shader = Shader::new(self.scene, &diagnostics);
         let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
@@ -89,7 +99,10 @@ impl Run<'_> {
             kinds: kinds.as_deref(),
             aovs: self.aovs,
         };
-        let settings = InterpolateSettings { tolerance };
+        let settings = InterpolateSettings {
+            tolerance,
+            refusals,
+        };
         interpolate::gather(gathering, settings, accepts, &diagnostics).expect("not cancelled")
     }
 
@@ -197,7 +210,7 @@ fn the_same_bits_come_from_one_thread_and_from_eight() {
 
 #[test]
 fn what_is_refused_is_gathered_at_every_receiver() {
-    with_walls(3, |run| {
+    with_walls(1, |run| {
         let found = run.interpolated(0.3, &|_| false);
         assert!(found.is_refused && found.gathered >= run.receivers.len());
         let whole = run.whole();
@@ -225,6 +238,11 @@ fn what_is_refused_is_first_looked_at_again() {
         };
         // Twice cells are made smoother first.
         let (once, twice) = (accepting(2), accepting(3));
+        assert_eq!((once.refusals, twice.refusals), (1, 2));
+        assert!(
+            run.interpolated_after(2, 0.1, &|_| true) == twice,
+            "another frame"
+        );
         assert!(
             2 * twice.gathered < run.receivers.len(),
             "{}",

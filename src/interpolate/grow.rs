@@ -29,6 +29,8 @@ pub(super) struct Field {
     pub(super) scales: Vec<Option<f64>>,
     /// Blended receivers that were gathered at to see whether their values are true; they keep these.
     pub(super) checked: usize,
+    /// Values of the seeds before they looked again.
+    pub(super) before: Option<Vec<f32>>,
 }
 
 /// How much a cell may differ from its neighbors and still be smooth.
@@ -61,6 +63,13 @@ impl Strictness {
 }
 
 impl Field {
+    /// Take back what seeds saw when they looked again: as all others see once.
+    pub(super) fn forget_again(&mut self) {
+        if let Some(before) = self.before.take() {
+            self.seeds.values[..before.len()].copy_from_slice(&before);
+        }
+    }
+
     /// Take those cells out of the smooth ones that have this `fault`, each of the `kind` of its seed.
     pub(super) fn take_faulty(&mut self, fault: &Fault, kind: &dyn Fn(u32) -> Kind) -> Vec<Cell> {
         let seeds = &self.seeds.receiver;
@@ -93,6 +102,7 @@ impl Work<'_> {
             smooth,
             scales,
             checked: 0,
+            before: None,
         })
     }
 

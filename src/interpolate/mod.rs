@@ -33,6 +33,9 @@ pub struct InterpolateSettings {
     /// Error of the whole, rms over mean |value|. Interpolation adds less than the engine's own may be where that is about as
     /// large.
     pub tolerance: f64,
+    /// Results that are refused before any are asked about: as many as at another frame ([`Interpolated::refusals`]), since what
+    /// comes of this and of that step differs a little.
+    pub refusals: u32,
 }
 
 /// What an interpolating gather found.
@@ -44,6 +47,8 @@ pub struct Interpolated {
     pub gathered: usize,
     /// True if results were not accepted: all receivers were gathered at then.
     pub is_refused: bool,
+    /// How many were refused before.
+    pub refusals: u32,
 }
 
 /// What [`gather()`] works with.
@@ -117,6 +122,7 @@ pub fn gather(
             results,
             gathered: receivers.len(),
             is_refused: false,
+            refusals: 0,
         });
     }
     let work = Work {
@@ -126,7 +132,7 @@ pub fn gather(
         diagnostics,
     };
     let mut field = work.plant()?;
-    let mut fault = Fault::All;
+    let (mut fault, mut refusals) = (Fault::All, 0);
     for step in STEPS {
         if !work.take(step, &mut field, &fault)? {
             continue;
@@ -143,7 +149,9 @@ pub fn gather(
             continue;
         }
         let is_last = step == Step::Everywhere;
-        let is_done = |results: &Results| is_last || told.blended.is_empty() || accepts(results);
+        let is_asked = refusals >= settings.refusals;
+        let is_done =
+            |results: &Results| is_last || told.blended.is_empty() || is_asked && accepts(results);
         // What is blended, before all that follows from it: light is sampled anew for that.
         if is_done(&work.blended(&told.values)) {
             let results = work.assemble(&told.values)?;
@@ -152,10 +160,11 @@ pub fn gather(
                     results,
                     gathered: field.seeds.len() + field.checked,
                     is_refused: is_last,
+                    refusals,
                 });
             }
         }
-        fault = Fault::Refused;
+        (fault, refusals) = (Fault::Refused, refusals + 1);
     }
     unreachable!("the last step is taken, and its results are")
 }
@@ -238,7 +247,10 @@ impl Work<'_> {
             Step::There if *fault == Fault::Refused => return Ok(false),
             Step::There => self.settle(field, fault)?,
             Step::Again => return self.look_again(field),
-            Step::Everywhere => self.settle(field, &Fault::All)?,
+            Step::Everywhere => {
+                field.forget_again();
+                self.settle(field, &Fault::All)?;
+            }
         }
         Ok(true)
     }
@@ -266,6 +278,7 @@ impl Work<'_> {
             return Ok(false);
         };
         let read = self.read(engine, &seeds.receiver)?;
+        field.before = Some(seeds.values.clone());
         seeds.average(&read);
         Ok(true)
     }

@@ -22,8 +22,8 @@ pub(super) struct Choice {
     pub(super) engine: Chosen,
     /// Times the default light samples.
     light_scale: u32,
-    /// Rays see for some receivers, and these speak for the others.
-    pub(super) interpolates: bool,
+    /// Rays see for some receivers, and these speak for the others; so many of their results are refused.
+    pub(super) interpolates: Option<u32>,
 }
 
 /// The engine.
@@ -61,7 +61,7 @@ impl Choice {
                 }),
             },
             light_scale: 1,
-            interpolates: false,
+            interpolates: None,
         }
     }
 
@@ -85,7 +85,7 @@ impl Choice {
         Self {
             engine,
             light_scale: outcome.light_scale,
-            interpolates: interpolates(stand),
+            interpolates: interpolates(stand).then_some(0),
         }
     }
 
@@ -106,16 +106,18 @@ impl Choice {
         }
     }
 
-    /// Let rays see for all receivers of the frames to come, if interpolation did not do at this one.
+    /// Let the frames to come be interpolated as this one was, or rays see for all of their receivers, if that did not do at this
+    /// one.
     pub(super) fn keep_rays(
         self,
         method: &InterpolatedMethod<'_>,
         aovs: &[Aov],
         report: &mut Report,
     ) {
-        if method.is_redone() {
+        let interpolates = (!method.is_redone()).then(|| method.refusals());
+        if self.interpolates != interpolates {
             let choice = Self {
-                interpolates: false,
+                interpolates,
                 ..self
             };
             report.choices.insert(aovs.to_vec(), choice);

@@ -177,7 +177,7 @@ pub(super) fn gather_on(
     };
     let run = (&mut *report, diagnostics);
     let results = match found.choice.engine {
-        Chosen::Rays(rays) if found.choice.interpolates => {
+        Chosen::Rays(rays) if found.choice.interpolates.is_some() => {
             see_interpolated(stand, scene, (rays, &found), run)?
         }
         Chosen::Rays(rays) => see_rays(stand, scene, rays, run)?,
@@ -227,7 +227,8 @@ fn see_interpolated(
     let tolerance = stand.job.tolerance.unwrap_or(0.0);
     let outcome = found.outcome.as_ref();
     let promise = outcome.and_then(|outcome| choice::promise_of_rays(outcome, tolerance));
-    let method = InterpolatedMethod::new(stand, rays, (tolerance, promise));
+    let refusals = found.choice.interpolates.unwrap_or(0);
+    let method = InterpolatedMethod::new(stand, rays, (tolerance, refusals), promise);
     let run = (&mut *report, diagnostics);
     let results = see(stand, scene, ("rays", &method, rays_judge(&reference)), run)?;
     method.record(report);

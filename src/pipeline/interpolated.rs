@@ -9,7 +9,7 @@ use crate::interpolate::{self, Gathering, InterpolateSettings};
 use crate::pilot::Method;
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
 
 /// Rays, and interpolation between those that they see for; more rays, or rays for all, where that breaks a promise.
 #[derive(Debug)]
@@ -20,23 +20,30 @@ pub(super) struct InterpolatedMethod<'a> {
     settings: InterpolateSettings,
     promise: Option<Promise>,
     is_redone: AtomicBool,
+    refusals: AtomicU32,
     gathered: AtomicUsize,
 }
 
 impl<'a> InterpolatedMethod<'a> {
-    /// For a run on `stand` with so many rays that may err by `tolerance`. With a promise, receivers are those of the whole run.
+    /// For a run on `stand` with so many rays that may err by `tolerance`, of which the first results are refused as at the frame
+    /// before. With a promise, receivers are those of the whole run.
     pub(super) fn new(
         stand: &Stand<'a>,
         rays: u32,
-        (tolerance, promise): (f64, Option<Promise>),
+        (tolerance, refusals): (f64, u32),
+        promise: Option<Promise>,
     ) -> Self {
         let settings = stand.rays_settings(rays);
         Self {
             engine: stand.rays_with(settings),
             again: stand.rays_with(settings.again()),
-            settings: InterpolateSettings { tolerance },
+            settings: InterpolateSettings {
+                tolerance,
+                refusals,
+            },
             promise,
             is_redone: AtomicBool::new(false),
+            refusals: AtomicU32::new(0),
             gathered: AtomicUsize::new(0),
         }
     }
@@ -44,6 +51,11 @@ impl<'a> InterpolatedMethod<'a> {
     /// True if interpolation has broken the promise.
     pub(super) fn is_redone(&self) -> bool {
         self.is_redone.load(Ordering::Relaxed)
+    }
+
+    /// Results that were refused before any were accepted.
+    pub(super) fn refusals(&self) -> u32 {
+        self.refusals.load(Ordering::Relaxed)
     }
 
     /// Tell `report` how many receivers were gathered at.
@@ -76,6 +88,7 @@ impl Method for InterpolatedMethod<'_> {
         let found = interpolate::gather(gathering, self.settings, &is_kept, diagnostics)?;
         self.gathered.store(found.gathered, Ordering::Relaxed);
         self.is_redone.store(found.is_refused, Ordering::Relaxed);
+        self.refusals.store(found.refusals, Ordering::Relaxed);
         Ok(found.results)
     }
 }

@@ -183,8 +183,8 @@ impl<'a> Stand<'a> {
         let tolerance = self.job.tolerance.filter(|_| self.job.interpolate);
         let others: Box<dyn Method + '_> = match tolerance {
             Some(tolerance) => {
-                let aim = (tolerance, promise.clone());
-                Box::new(InterpolatedMethod::new(self, rays, aim))
+                let promise = promise.clone();
+                Box::new(InterpolatedMethod::new(self, rays, (tolerance, 0), promise))
             }
             None => Box::new(self.rays_with(self.rays_settings(rays))),
         };

@@ -246,9 +246,14 @@ pub(super) fn auto<'s>(
         }
         Chosen::Paper(knobs) => ("paper", paper_knobs(knobs), Box::new(stand.paper(knobs))),
         Chosen::Rays(rays) => {
-            let method: Box<dyn Method + 's> = if choice.interpolates {
+            let method: Box<dyn Method + 's> = if choice.interpolates.is_some() {
                 let promise = choice::promise_of_rays(&outcome, tolerance);
-                Box::new(InterpolatedMethod::new(stand, rays, (tolerance, promise)))
+                Box::new(InterpolatedMethod::new(
+                    stand,
+                    rays,
+                    (tolerance, 0),
+                    promise,
+                ))
             } else {
                 Box::new(stand.rays_with(stand.rays_settings(rays)))
             };
@@ -268,7 +273,7 @@ pub(super) fn auto<'s>(
         knobs,
         method,
         auto: Some(auto),
-        sees: if matches!(engine, "maps" | "raster") || choice.interpolates {
+        sees: if matches!(engine, "maps" | "raster") || choice.interpolates.is_some() {
             Sees::All(outcome.check)
         } else {
             Sees::Each
