@@ -286,6 +286,24 @@ fn usd_core_reads_materials_and_textures_as_the_file_means_them() {
         "unlit",
         &serde_json::json!([[0.1, 0.6, 0.3], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
     );
+    assert_eq!(read["double"], serde_json::json!([true, false]));
+    // the packed image is beside it, byte for byte a PNG
+    let image = fs::read(read["file"].as_str().unwrap()).unwrap();
+    assert!(image.starts_with(b"\x89PNG"));
+    assert_eq!(
+        report["outputs"][1]
+            .as_str()
+            .map(|name| name.ends_with("0_corner_colors.png")),
+        Some(true)
+    );
+}
+
+#[test]
+fn usd_core_reads_coats_and_specular_gloss_as_the_file_means_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let (glb, usd) = (sample(folder.path(), "s.glb"), folder.path().join("s.usda"));
+    convert(&glb, &usd, &[]);
+    let read = python_json(READ, &[&usd]);
     assert_eq!(read["moved coat"], serde_json::json!([[2.0, 3.0]]));
     for (key, values) in read["coated"].as_object().unwrap() {
         let factor = |x: f32| serde_json::json!([x, x, x, x]);
@@ -304,16 +322,6 @@ fn usd_core_reads_materials_and_textures_as_the_file_means_them() {
         "roughness": ["a", "sRGB", [0.5, 0.25, 1.0, -0.75], [0.0, 0.0, 0.0, 1.0]]
     });
     assert_eq!(read["glossy"], glossy);
-    assert_eq!(read["double"], serde_json::json!([true, false]));
-    // the packed image is beside it, byte for byte a PNG
-    let image = fs::read(read["file"].as_str().unwrap()).unwrap();
-    assert!(image.starts_with(b"\x89PNG"));
-    assert_eq!(
-        report["outputs"][1]
-            .as_str()
-            .map(|name| name.ends_with("0_corner_colors.png")),
-        Some(true)
-    );
 }
 
 /// Vertices of every curve of the sample's strip in order, closed ones with the first again; and what Pixar's validators say.

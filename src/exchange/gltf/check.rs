@@ -43,18 +43,16 @@ pub(super) fn version(root: &Value) -> Result<(), String> {
 /// Add what may be left out, but not for the crate: the nodes of a scene, and what kind of image a view holds, which its bytes
 /// tell.
 pub(super) fn complete(root: &mut Value) {
-    let empty = |_: &Map<String, Value>| true;
-    let packed = |image: &Map<String, Value>| image.contains_key("bufferView");
-    add(root, ("scenes", &empty), ("nodes", Value::Array(vec![])));
-    add(root, ("images", &packed), ("mimeType", Value::from("")));
+    add(root, ("scenes", |_| true), ("nodes", Value::Array(vec![])));
+    let is_packed: Lacks = |image| image.contains_key("bufferView");
+    add(root, ("images", is_packed), ("mimeType", Value::from("")));
 }
 
+/// True of objects that should have something.
+type Lacks = fn(&Map<String, Value>) -> bool;
+
 /// Give all objects of the list `list` that `lacks` holds for the value `key`, if they have none.
-fn add(
-    root: &mut Value,
-    (list, lacks): (&str, &dyn Fn(&Map<String, Value>) -> bool),
-    (key, value): (&str, Value),
-) {
+fn add(root: &mut Value, (list, lacks): (&str, Lacks), (key, value): (&str, Value)) {
     let list = root.get_mut(list).and_then(Value::as_array_mut);
     let objects = list.into_iter().flatten().filter_map(Value::as_object_mut);
     for object in objects.filter(|object| lacks(object)) {
