@@ -4,7 +4,8 @@
 //! its neighbors foretells what a seed sees (`fit`), and nothing is near (`room`), its cell is smooth; all others are cut in
 //! four, with seeds of their own, and so on (`grow`). The values of all other receivers are blended from the seeds around,
 //! of which each tells how its own change with place and with the normal (`blend`): without borders between cells. Some of
-//! these are gathered at too, to see whether it is true: if not, all of their kind are (`tell`).
+//! these are gathered at too, to see whether it is true: if not, cells are cut finer, and then all of their kind are gathered
+//! at (`tell`).
 //!
 //! In a Cornell box with two balls, 512² pixels, rays for 2 %, 20 310 of 240 795 receivers are gathered at, in 0.22 of the
 //! time, and what rays err by is smoothed a little: 1.74 % instead of 1.84.
