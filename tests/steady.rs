@@ -151,3 +151,24 @@ fn a_fixed_point_keeps_its_value_when_the_camera_moves() {
         assert!(rms <= TOLERANCE * mean, "{engine}: {rms} of {mean}");
     }
 }
+
+/// As many surfels as the tolerance needs are looked for at the first frame.
+#[test]
+fn frames_of_a_still_scene_are_the_same_to_the_bit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let pattern = folder.path().join("frame.#.exr");
+    let args = "render examples/room.usda --usd native --frames 1:2 --aov irradiance_indirect --tolerance 0.02 --image-width 128";
+    let mut args: Vec<&str> = args.split(' ').collect();
+    args.extend(["--json", "-o", pattern.to_str().expect("UTF-8")]);
+    json(&run(&args));
+    let [one, two] = [1, 2].map(|n| {
+        let path = folder.path().join(format!("frame.{n}.exr"));
+        let image = exr::prelude::read_all_flat_layers_from_file(path).expect("a readable EXR");
+        let channels = image.layer_data.iter();
+        let channels = channels.flat_map(|layer| layer.channel_data.list.iter());
+        let bits =
+            channels.flat_map(|channel| channel.sample_data.values_as_f32().map(f32::to_bits));
+        bits.collect::<Vec<u32>>()
+    });
+    assert!(one.len() >= 3 * 128 * 128 && one == two);
+}

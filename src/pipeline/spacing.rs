@@ -94,7 +94,8 @@ impl From<Light> for Lit {
 /// What was found to meet a tolerance, to be kept for all frames.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Dicing {
-    surfels: usize,
+    /// Of the surfels, where their number was not asked for.
+    spacing: f32,
     relit: Relit,
 }
 
@@ -141,7 +142,7 @@ pub(super) fn lit(
     if let Some(&dicing) = report.dicings.get(aovs) {
         // The same at every frame: results then differ only where the scene does.
         let again = GatherJob {
-            surfels: Some(dicing.surfels),
+            spacing: job.surfels.is_none().then_some(dicing.spacing),
             ..job.clone()
         };
         return Ok(Lit {
@@ -171,7 +172,7 @@ pub(super) fn lit(
     report.seconds.gather += start.elapsed().as_secs_f64() - dicing;
     if job.spacing.is_none() {
         let dicing = Dicing {
-            surfels: job.surfels.unwrap_or(climbed.baked.cloud.len()),
+            spacing: climbed.baked.cloud.spacing,
             relit: climbed.relit,
         };
         report.dicings.insert(aovs.to_vec(), dicing);
