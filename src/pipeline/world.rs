@@ -157,13 +157,13 @@ impl Frames {
 
     fn scene(
         &mut self,
-        raw: &RawStage,
+        raw: &mut RawStage,
         settings: &ReadSettings,
         diagnostics: &Diagnostics,
     ) -> Result<Scene, stage::Error> {
         match &mut self.surfaces {
             Some(kept) => stage::passes::scene_keeping(raw, settings, kept, diagnostics),
-            None => stage::passes::scene(raw, settings, diagnostics),
+            None => stage::passes::scene_of_spent(raw, settings, diagnostics),
         }
     }
 }
@@ -181,10 +181,10 @@ pub(super) fn with_world<T>(
         let _phase = diagnostics.phase("read", "stage", 0);
         let mut settings = read_settings(job, time, needs);
         settings.materials |= report.reads_materials;
-        let raw = compose(source.source.as_mut(), &mut settings, diagnostics)?;
+        let mut raw = compose(source.source.as_mut(), &mut settings, diagnostics)?;
         report.reads_materials = settings.materials;
         report.read.add(&raw.meta);
-        let mut scene = source.scene(&raw, &settings, diagnostics)?;
+        let mut scene = source.scene(&mut raw, &settings, diagnostics)?;
         report
             .read
             .add_images(displacement::displace(&mut scene, diagnostics).into_iter());

@@ -152,6 +152,11 @@ impl Attributes {
         Some(Arc::unwrap_or_clone(self.0.remove(place)))
     }
 
+    /// Leave only those that `stays` says yes to.
+    pub(super) fn retain(&mut self, stays: impl Fn(&RawAttribute) -> bool) {
+        self.0.retain(|attribute| stays(attribute));
+    }
+
     /// Room for `count` attributes.
     pub(super) fn reserve_exact(&mut self, count: usize) {
         self.0.reserve_exact(count);

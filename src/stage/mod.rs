@@ -203,8 +203,8 @@ pub fn read(
     settings: &ReadSettings,
     diagnostics: &Diagnostics,
 ) -> Result<Scene, Error> {
-    let raw = compose(source, settings, diagnostics)?;
-    passes::scene(&raw, settings, diagnostics)
+    let mut raw = compose(source, settings, diagnostics)?;
+    passes::scene_of_spent(&mut raw, settings, diagnostics)
 }
 
 /// Read `source` at `settings.time` as far as no geometry is made of it: what [`read`] hands to [`passes::scene`].

@@ -14,7 +14,7 @@ use super::raw::{RawAttribute, RawMeta, RawPrim, RawStage};
 use super::{Error, ReadSettings, VariantChoice};
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Scene, StageInfo, UpAxis};
-use geometry::Detail;
+use geometry::{Detail, Lent, Making};
 
 /// USD's `metersPerUnit` where none is authored.
 const DEFAULT_METERS_PER_UNIT: f64 = 0.01;
@@ -30,8 +30,21 @@ pub fn scene(
     settings: &ReadSettings,
     diagnostics: &Diagnostics,
 ) -> Result<Scene, Error> {
-    let how = (settings, Detail::Full);
-    Ok(scene_in(raw, how, None, diagnostics)?.0)
+    let making = Making::Once(Detail::Full);
+    Ok(scene_in(Lent::Whole(raw), settings, making, diagnostics)?.0)
+}
+
+/// [`scene`] that takes long arrays of meshes out of `raw` as it goes on: it needs little more memory than what comes of it.
+///
+/// # Errors
+/// As [`scene`].
+pub fn scene_of_spent(
+    raw: &mut RawStage,
+    settings: &ReadSettings,
+    diagnostics: &Diagnostics,
+) -> Result<Scene, Error> {
+    let making = Making::Once(Detail::Full);
+    Ok(scene_in(Lent::Spent(raw), settings, making, diagnostics)?.0)
 }
 
 /// [`scene`] where several of one stage are made, at different times: the same scene, but surfaces that do not vary are
@@ -45,8 +58,8 @@ pub fn scene_keeping(
     surfaces: &mut Surfaces,
     diagnostics: &Diagnostics,
 ) -> Result<Scene, Error> {
-    let how = (settings, Detail::Full);
-    Ok(scene_in(raw, how, Some(surfaces), diagnostics)?.0)
+    let making = Making::Keeping(surfaces);
+    Ok(scene_in(Lent::Whole(raw), settings, making, diagnostics)?.0)
 }
 
 /// [`scene`] with the cages of subdivision surfaces in their place, and how many triangles all that is drawn has in
@@ -59,31 +72,33 @@ pub fn outline(
     settings: &ReadSettings,
     diagnostics: &Diagnostics,
 ) -> Result<(Scene, usize), Error> {
-    scene_in(raw, (settings, Detail::Cages), None, diagnostics)
+    let making = Making::Once(Detail::Cages);
+    scene_in(Lent::Whole(raw), settings, making, diagnostics)
 }
 
 fn scene_in(
-    raw: &RawStage,
-    (settings, detail): (&ReadSettings, Detail),
-    kept: Option<&mut Surfaces>,
+    raw: Lent<'_>,
+    settings: &ReadSettings,
+    making: Making<'_>,
     diagnostics: &Diagnostics,
 ) -> Result<(Scene, usize), Error> {
     if settings.time.is_none() {
-        warn_of_unread_samples(raw, diagnostics);
+        warn_of_unread_samples(&raw, diagnostics);
     }
-    warn_of_unloaded(raw, diagnostics);
-    let occurrences = flatten::flatten(raw, settings, diagnostics);
-    let layout = geometry::lay_out(raw, &occurrences, settings, diagnostics)?;
-    let look = look::resolve(raw, &occurrences, layout.origin(), settings, diagnostics);
+    warn_of_unloaded(&raw, diagnostics);
+    let occurrences = flatten::flatten(&raw, settings, diagnostics);
+    let layout = geometry::lay_out(&raw, &occurrences, settings, diagnostics)?;
+    let look = look::resolve(&raw, &occurrences, layout.origin(), settings, diagnostics);
     let origin = layout.origin();
-    let built = layout.build(&look, detail, kept, diagnostics)?;
+    let stage = stage_info(&raw.meta, settings, diagnostics);
+    let built = layout.build(raw, &look, making, diagnostics)?;
     let of_prims = built
         .prims
         .iter()
         .map(|prim| built.triangles[prim.mesh.index()]);
     let triangles = of_prims.sum();
     let mut scene = Scene {
-        stage: stage_info(&raw.meta, settings, diagnostics),
+        stage,
         origin,
         meshes: built.meshes,
         prims: built.prims,

@@ -1,12 +1,13 @@
 //! A Mesh prim as authored, checked, and the polygon mesh it is without subdivision.
 
 use super::super::super::Error;
-use super::super::super::raw::RawPrim;
-use super::attributes::{boolean, token, vectors};
-use super::normals::CageNormals;
-use super::primvars::AuthoredPrimvar;
-use super::topology::{Topology, is_left_handed};
-use super::triangulate::Triangulation;
+use super::super::super::raw::{RawPrim, Value};
+use super::attributes::{boolean, ints, token, vectors};
+use super::bodies;
+use super::normals::{CageNormals, NORMALS};
+use super::primvars::{AuthoredPrimvar, Layout};
+use super::topology::{self, Boundary, Topology, is_left_handed};
+use super::triangulate::{Corners, Triangulation};
 use crate::diagnostics::Diagnostics;
 use crate::math::Bounds3;
 use crate::scene::{Cage, Mesh, Normals, Primvar};
@@ -74,11 +75,12 @@ impl Scheme {
 /// A mesh whose arrays agree: valid topology, finite points.
 #[derive(Debug)]
 pub(super) struct AuthoredMesh<'a> {
-    pub(super) prim: &'a RawPrim,
+    /// Without the arrays that are here, if it is the mesh's own.
+    pub(super) prim: Cow<'a, RawPrim>,
     /// Positions are relative to this (object space): 0 unless the points are far from it.
     pub(super) center: DVec3,
     pub(super) points: Cow<'a, [Vec3]>,
-    pub(super) topology: Topology,
+    pub(super) topology: Topology<'a>,
     pub(super) scheme: Scheme,
     pub(super) left_handed: bool,
     pub(super) primvars: Vec<AuthoredPrimvar>,
@@ -91,14 +93,15 @@ impl<'a> AuthoredMesh<'a> {
     /// # Errors
     /// Arrays that contradict each other, points that are not finite.
     pub(super) fn read(
-        prim: &'a RawPrim,
+        mut prim: Cow<'a, RawPrim>,
         inherited: &[(String, &RawPrim)],
         names: &[String],
         diagnostics: &Diagnostics,
     ) -> Result<Option<Self>, Error> {
-        let points = vectors(prim, "points");
-        check_points(prim, points)?;
-        let topology = Topology::read(prim, points.len(), diagnostics)?;
+        let points = take_points(&mut prim);
+        check_points(&prim, &points)?;
+        let faces = take_faces(&mut prim);
+        let topology = Topology::of(&prim, faces, points.len(), diagnostics)?;
         if topology.drawn().next().is_none() {
             diagnostics.warn(
                 "empty-mesh",
@@ -107,63 +110,99 @@ impl<'a> AuthoredMesh<'a> {
             );
             return Ok(None);
         }
-        let center = center_of(points);
-        let primvars = read_primvars(prim, inherited, names, &topology, diagnostics);
+        let center = center_of(&points);
+        let primvars = read_primvars(&mut prim, inherited, names, &topology, diagnostics);
         Ok(Some(Self {
-            prim,
             center,
             points: relative(points, center),
             topology,
-            scheme: Scheme::read(prim, diagnostics),
-            left_handed: is_left_handed(prim),
+            scheme: Scheme::read(&prim, diagnostics),
+            left_handed: is_left_handed(&prim),
             primvars,
+            prim,
         }))
     }
 
-    /// The mesh as polygons, without subdivision.
-    pub(super) fn as_polygons(&self, diagnostics: &Diagnostics) -> Mesh {
-        let mut triangulation = self.triangulate();
-        if self.left_handed {
-            triangulation.flip();
+    /// The mesh as polygons, without subdivision. What takes most memory on its way comes first.
+    pub(super) fn into_polygons(mut self, diagnostics: &Diagnostics) -> Mesh {
+        let boundary = self.topology.boundary();
+        let normals = CageNormals::read(&self.prim, &self.topology, diagnostics);
+        if let Cow::Owned(prim) = &mut self.prim {
+            for name in NORMALS {
+                prim.attributes.remove(name);
+            }
         }
-        let normals = CageNormals::read(self.prim, &self.topology, diagnostics);
-        let shading = normals.on_triangles(&triangulation);
+        let mut shading = normals.on_triangles();
         let (point_normals, corner_normals) =
             normals.for_cage(&self.topology, &self.points, self.left_handed);
-        let primvars = self.primvars.iter();
-        let primvars = primvars.map(|p| p.on_polygons(&triangulation)).collect();
+        let triangulation = self.triangulate(match self.lists_corners(&shading) {
+            true => Corners::Listed,
+            false => Corners::NotNeeded,
+        });
+        self.topology.offsets = Vec::new();
+        if let Normals::Corner { corners, .. } = &mut shading {
+            corners.clone_from(&triangulation.corners);
+        }
+        let primvars = self.lay_out_primvars(triangulation.corners);
+        let positions = std::mem::take(&mut self.points).into_owned();
         self.finish(Parts {
-            positions: self.points.to_vec(),
+            positions,
             triangles: triangulation.triangles,
             triangle_faces: triangulation.faces,
             normals: shading,
             primvars,
             point_normals,
             corner_normals,
+            boundary,
             scheme: Scheme::None,
         })
     }
 
+    /// Over the triangles whose face-vertices are `corners`; the last that needs these has them.
+    fn lay_out_primvars(&mut self, mut corners: Vec<[u32; 3]>) -> Vec<Primvar> {
+        let all = std::mem::take(&mut self.primvars);
+        let is_listed = |primvar: &AuthoredPrimvar| primvar.layout == Layout::FaceVarying;
+        let last = all.iter().rposition(is_listed);
+        let laid_out = all.into_iter().enumerate().map(|(index, primvar)| {
+            let own = match is_listed(&primvar) {
+                true if Some(index) == last => std::mem::take(&mut corners),
+                true => corners.clone(),
+                false => Vec::new(),
+            };
+            primvar.on_polygons(own)
+        });
+        laid_out.collect()
+    }
+
+    /// True if anything is listed by the corners of triangles.
+    fn lists_corners(&self, normals: &Normals) -> bool {
+        let is_listed = |primvar: &AuthoredPrimvar| primvar.layout == Layout::FaceVarying;
+        matches!(normals, Normals::Corner { .. }) || self.primvars.iter().any(is_listed)
+    }
+
     /// The cage as polygons, flat and bare, in the place of the surface that it refines into.
-    pub(super) fn cage_polygons(&self) -> Mesh {
-        let mut triangulation = self.triangulate();
-        if self.left_handed {
-            triangulation.flip();
-        }
+    pub(super) fn into_cage_polygons(mut self) -> Mesh {
+        let boundary = self.topology.boundary();
+        let triangulation = self.triangulate(Corners::NotNeeded);
+        let (positions, scheme) = (std::mem::take(&mut self.points).into_owned(), self.scheme);
         self.finish(Parts {
-            positions: self.points.to_vec(),
+            positions,
             triangles: triangulation.triangles,
             triangle_faces: triangulation.faces,
             normals: Normals::Flat,
             primvars: Vec::new(),
             point_normals: Vec::new(),
             corner_normals: Vec::new(),
-            scheme: self.scheme,
+            boundary,
+            scheme,
         })
     }
 
-    fn triangulate(&self) -> Triangulation {
-        let mut triangulation = Triangulation::default();
+    /// Front faces counter-clockwise.
+    fn triangulate(&self, corners: Corners) -> Triangulation {
+        let vertices = self.topology.drawn().map(|face| self.topology.counts[face]);
+        let count = vertices.map(|count| count as usize - 2).sum();
+        let mut triangulation = Triangulation::with_capacity(count, corners);
         for face in self.topology.drawn() {
             triangulation.add(
                 u32::try_from(face).expect("offsets of all faces fit u32"),
@@ -172,24 +211,27 @@ impl<'a> AuthoredMesh<'a> {
                 &self.points,
             );
         }
+        if self.left_handed {
+            triangulation.flip();
+        }
         triangulation
     }
 
     /// Add what does not depend on how the surface was made.
-    pub(super) fn finish(&self, parts: Parts) -> Mesh {
-        let boundary = self.topology.boundary();
+    pub(super) fn finish(self, parts: Parts) -> Mesh {
+        let boundary = parts.boundary;
         Mesh {
             positions: parts.positions,
             triangles: parts.triangles,
             triangle_faces: parts.triangle_faces,
             normals: parts.normals,
             primvars: parts.primvars,
-            double_sided: boolean(self.prim, "doubleSided", false),
+            double_sided: boolean(&self.prim, "doubleSided", false),
             closed: boundary.is_closed,
             cage: Some(Cage {
                 point_count: self.topology.point_count,
-                face_vertex_counts: self.topology.counts.clone(),
-                face_vertex_indices: self.topology.indices.clone(),
+                face_vertex_counts: self.topology.counts.into_owned(),
+                face_vertex_indices: self.topology.indices.into_owned(),
                 point_normals: parts.point_normals,
                 corner_normals: parts.corner_normals,
                 on_boundary: boundary.on_boundary,
@@ -209,6 +251,7 @@ pub(super) struct Parts {
     pub(super) primvars: Vec<Primvar>,
     pub(super) point_normals: Vec<Vec3>,
     pub(super) corner_normals: Vec<Vec3>,
+    pub(super) boundary: Boundary,
     pub(super) scheme: Scheme,
 }
 
@@ -231,16 +274,37 @@ fn center_of(points: &[Vec3]) -> DVec3 {
     local_origin(bounds.min.as_dvec3(), bounds.max.as_dvec3())
 }
 
-fn relative(points: &[Vec3], center: DVec3) -> Cow<'_, [Vec3]> {
+fn relative(points: Cow<'_, [Vec3]>, center: DVec3) -> Cow<'_, [Vec3]> {
     if center == DVec3::ZERO {
-        return Cow::Borrowed(points);
+        return points;
     }
-    let shifted = points.iter();
-    Cow::Owned(shifted.map(|p| (p.as_dvec3() - center).as_vec3()).collect())
+    let mut points = points.into_owned();
+    for point in &mut points {
+        *point = (point.as_dvec3() - center).as_vec3();
+    }
+    Cow::Owned(points)
+}
+
+fn take_points<'a>(prim: &mut Cow<'a, RawPrim>) -> Cow<'a, [Vec3]> {
+    let own = |value| match value {
+        Value::Vec3Array(points) => Some(points),
+        _ => None,
+    };
+    bodies::array(prim, "points", own, |prim| vectors(prim, "points"))
+}
+
+fn take_faces<'a>(prim: &mut Cow<'a, RawPrim>) -> (Cow<'a, [i32]>, Cow<'a, [i32]>) {
+    let own = |value| match value {
+        Value::IntArray(numbers) => Some(numbers),
+        _ => None,
+    };
+    let mut take = |name| bodies::array(prim, name, own, |prim| ints(prim, name));
+    let [counts, indices] = topology::ARRAYS;
+    (take(counts), take(indices))
 }
 
 fn read_primvars(
-    prim: &RawPrim,
+    prim: &mut Cow<'_, RawPrim>,
     inherited: &[(String, &RawPrim)],
     names: &[String],
     topology: &Topology,
@@ -248,6 +312,10 @@ fn read_primvars(
 ) -> Vec<AuthoredPrimvar> {
     let read = |name: &String| {
         let own = AuthoredPrimvar::read(prim, name, topology, diagnostics);
+        if let (Some(_), Cow::Owned(prim)) = (&own, &mut *prim) {
+            prim.attributes.remove(&format!("primvars:{name}"));
+            prim.attributes.remove(&format!("primvars:{name}:indices"));
+        }
         own.or_else(|| {
             let (_, owner) = inherited.iter().find(|(inherited, _)| inherited == name)?;
             AuthoredPrimvar::read(owner, name, topology, diagnostics)
@@ -258,21 +326,21 @@ fn read_primvars(
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::super::raw::Value;
     use super::super::tests::{mesh, with_attribute};
     use super::*;
 
     fn polygons(prim: &RawPrim) -> Mesh {
         let diagnostics = Diagnostics::default();
-        let authored = AuthoredMesh::read(prim, &[], &[], &diagnostics);
-        authored.unwrap().unwrap().as_polygons(&diagnostics)
+        let authored = AuthoredMesh::read(Cow::Borrowed(prim), &[], &[], &diagnostics);
+        authored.unwrap().unwrap().into_polygons(&diagnostics)
     }
 
     #[test]
     fn a_point_that_is_not_finite_is_named() {
         let points = [Vec3::ZERO, Vec3::X, Vec3::new(0.0, f32::NAN, 1.0)];
         let prim = mesh("/World/m", &points, &[3], &[0, 1, 2]);
-        let error = AuthoredMesh::read(&prim, &[], &[], &Diagnostics::default()).unwrap_err();
+        let error = AuthoredMesh::read(Cow::Borrowed(&prim), &[], &[], &Diagnostics::default())
+            .unwrap_err();
         assert_eq!(
             error.to_string(),
             "mesh /World/m: point 2 is [0, NaN, 1], all coordinates must be finite"
@@ -283,7 +351,7 @@ mod tests {
     fn meshes_without_faces_are_left_out_with_a_warning() {
         let prim = mesh("/m", &[], &[], &[]);
         let diagnostics = Diagnostics::default();
-        let read = AuthoredMesh::read(&prim, &[], &[], &diagnostics).unwrap();
+        let read = AuthoredMesh::read(Cow::Borrowed(&prim), &[], &[], &diagnostics).unwrap();
         assert!(read.is_none());
         assert_eq!(diagnostics.warnings()[0].kind, "empty-mesh");
     }
@@ -310,7 +378,7 @@ mod tests {
         let far = Vec3::new(1e6, 0.0, 0.0);
         let points = [far, far + Vec3::X, far + Vec3::Y];
         let prim = mesh("/m", &points, &[3], &[0, 1, 2]);
-        let read = AuthoredMesh::read(&prim, &[], &[], &Diagnostics::default());
+        let read = AuthoredMesh::read(Cow::Borrowed(&prim), &[], &[], &Diagnostics::default());
         let authored = read.unwrap().unwrap();
         assert_eq!(authored.points[1] - authored.points[0], Vec3::X);
         assert!(authored.points[0].length() < 1.0);
@@ -331,7 +399,7 @@ mod tests {
         let names = ["w".to_owned()];
         let value = |prim: &RawPrim| {
             let diagnostics = Diagnostics::default();
-            let read = AuthoredMesh::read(prim, &inherited, &names, &diagnostics);
+            let read = AuthoredMesh::read(Cow::Borrowed(prim), &inherited, &names, &diagnostics);
             read.unwrap().unwrap().primvars[0].values[0].x
         };
         assert_eq!(value(&prim), 7.0);

@@ -4,6 +4,7 @@ use super::super::super::raw::RawPrim;
 use super::attributes::{floats, ints, token};
 use super::authored::{AuthoredMesh, Scheme};
 use super::primvars::Layout;
+use super::subdivision::small;
 use crate::diagnostics::Diagnostics;
 use opensubdiv_rs::far::{
     FVarChannelDescriptor, TopologyDescriptor, TopologyRefiner, TopologyRefinerFactory,
@@ -45,7 +46,7 @@ impl Control {
             channels: channels
                 .map(|primvar| {
                     let elements = faces.iter().flat_map(corners_of);
-                    let elements = elements.map(|corner| primvar.elements[corner]);
+                    let elements = elements.map(|corner| primvar.place_of(small(corner)));
                     (primvar.values.len(), elements.collect())
                 })
                 .collect(),
@@ -64,14 +65,14 @@ impl Control {
 
     /// Edges of the authored creases, one sharpness a crease or one an edge. Returns how many make no sense.
     fn add_creases(&mut self, mesh: &AuthoredMesh) -> usize {
-        let lengths = ints(mesh.prim, "creaseLengths");
+        let lengths = ints(&mesh.prim, "creaseLengths");
         if lengths.is_empty() {
             return 0;
         }
         let edges = self.edges();
-        let sharpnesses = floats(mesh.prim, "creaseSharpnesses");
+        let sharpnesses = floats(&mesh.prim, "creaseSharpnesses");
         let per_crease = sharpnesses.len() == lengths.len();
-        let mut points = ints(mesh.prim, "creaseIndices");
+        let mut points = ints(&mesh.prim, "creaseIndices");
         let (mut edge_count, mut flaws) = (0, 0);
         for (crease, &length) in lengths.iter().enumerate() {
             let length = usize::try_from(length).unwrap_or(0).min(points.len());
@@ -108,8 +109,8 @@ impl Control {
     }
 
     fn add_corners(&mut self, mesh: &AuthoredMesh) -> usize {
-        let points = ints(mesh.prim, "cornerIndices");
-        let mut sharpnesses = floats(mesh.prim, "cornerSharpnesses").iter();
+        let points = ints(&mesh.prim, "cornerIndices");
+        let mut sharpnesses = floats(&mesh.prim, "cornerSharpnesses").iter();
         let mut flaws = 0;
         for &point in points {
             let sharpness = sharpnesses.next().filter(|sharpness| sharpness.is_finite());
@@ -145,7 +146,7 @@ impl Control {
             Scheme::Bilinear => SchemeType::Bilinear,
             Scheme::CatmullClark | Scheme::None => SchemeType::Catmark,
         };
-        TopologyRefinerFactory::create(descriptor, scheme, options(mesh.prim))
+        TopologyRefinerFactory::create(descriptor, scheme, options(&mesh.prim))
             .map_err(|error| error.to_string())
     }
 }

@@ -295,8 +295,8 @@ fn constants(
 ) -> Vec<Primvar> {
     let single = Topology {
         point_count: 1,
-        counts: vec![1],
-        indices: vec![0],
+        counts: vec![1].into(),
+        indices: vec![0].into(),
         offsets: vec![0, 1],
         is_drawn: vec![true],
     };

@@ -52,9 +52,9 @@ impl<'a> Body<'a> {
 /// What interpolations count over.
 pub(super) struct Layouts {
     /// Uniform and vertex.
-    vertex: Topology,
+    vertex: Topology<'static>,
     /// Varying and face-varying, which is the same here.
-    varying: Topology,
+    varying: Topology<'static>,
 }
 
 impl Layouts {
@@ -62,8 +62,8 @@ impl Layouts {
     pub(super) fn of(uniform_count: usize, point_count: usize, varying_count: usize) -> Self {
         let topology = |elements: usize| Topology {
             point_count: elements,
-            counts: vec![1; uniform_count],
-            indices: vec![0; elements],
+            counts: vec![1; uniform_count].into(),
+            indices: vec![0; elements].into(),
             offsets: Vec::new(),
             is_drawn: Vec::new(),
         };
@@ -73,7 +73,7 @@ impl Layouts {
         }
     }
 
-    fn topology(&self, interpolation: Option<&str>) -> &Topology {
+    fn topology(&self, interpolation: Option<&str>) -> &Topology<'static> {
         match interpolation {
             Some("varying" | "faceVarying") => &self.varying,
             _ => &self.vertex,

@@ -9,6 +9,7 @@
 
 mod attributes;
 mod authored;
+mod bodies;
 mod control;
 mod curves;
 mod draw_modes;
@@ -39,6 +40,8 @@ use super::look::Look;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Mesh, MeshId, Prim, PrimSource};
 use authored::{AuthoredMesh, Scheme, local_origin};
+use bodies::Bodies;
+pub use bodies::Lent;
 use curves::Curves;
 use face_materials::Materials;
 use glam::{Affine3A, DAffine3, DMat4, DVec3};
@@ -49,6 +52,7 @@ use placement::{Kind, Placement};
 use point_set::PointSet;
 use rayon::prelude::*;
 use refinement::Fineness;
+use std::borrow::Cow;
 use std::collections::HashMap;
 pub use surfaces::Surfaces;
 
@@ -58,7 +62,6 @@ const ALWAYS_KEPT: [&str; 3] = ["displayColor", "displayOpacity", "st"];
 /// What is drawn where, and the origin that follows from it; geometry itself is not made yet.
 #[derive(Debug)]
 pub struct Layout<'a> {
-    raw: &'a RawStage,
     occurrences: &'a [Occurrence],
     settings: &'a ReadSettings,
     placements: Vec<Placement>,
@@ -72,7 +75,7 @@ pub struct Layout<'a> {
 /// # Errors
 /// Cancellation.
 pub fn lay_out<'a>(
-    raw: &'a RawStage,
+    raw: &RawStage,
     occurrences: &'a [Occurrence],
     settings: &'a ReadSettings,
     diagnostics: &Diagnostics,
@@ -86,7 +89,6 @@ pub fn lay_out<'a>(
             warn_of_transform(placement, &flaw, diagnostics);
         });
     Ok(Layout {
-        raw,
         occurrences,
         settings,
         placements,
@@ -97,7 +99,8 @@ pub fn lay_out<'a>(
 
 /// One distinct geometry.
 struct Geometry<'a> {
-    prim: &'a RawPrim,
+    /// Its own where its arrays may be spent.
+    prim: Cow<'a, RawPrim>,
     /// Constant primvars of ancestors, the nearest owner each.
     inherited: Vec<(String, &'a RawPrim)>,
     /// Placements that draw it.
@@ -111,44 +114,50 @@ impl Layout<'_> {
         self.origin
     }
 
-    /// Make the geometry; with `kept`, in [`Detail::Full`] whatever is asked for, and surfaces that were refined for another
-    /// time are taken from there.
+    /// Make the geometry of `raw`, of which `self` is; with [`Making::Keeping`], surfaces that were refined for another time
+    /// are taken from there.
     ///
     /// # Errors
     /// Meshes whose arrays contradict each other or whose points are not finite; cancellation.
     pub fn build(
         &self,
+        raw: Lent<'_>,
         look: &Look,
-        detail: Detail,
-        kept: Option<&mut Surfaces>,
+        making: Making<'_>,
         diagnostics: &Diagnostics,
     ) -> Result<Built, Error> {
         let mut names = kept_primvars(look);
         if self.settings.all_primvars {
-            names.extend(authored_numbers(self.raw));
+            names.extend(authored_numbers(&raw));
             names.sort_unstable();
             names.dedup();
         }
-        let mut geometries = self.geometries(&names);
-        let mut sources = read_all(&geometries, &names, diagnostics)?;
+        let (raw, bodies) = raw.opened(self);
+        let mut geometries = self.geometries((raw, &bodies), &names);
+        drop(bodies);
+        let mut sources = read_all(&mut geometries, &names, diagnostics)?;
         self.share_gprims(&mut geometries, &mut sources);
         self.ask_for_depth(&geometries, &mut sources);
         let levels = refinement::levels(&self.demands(&geometries, &sources), diagnostics);
         diagnostics.check()?;
         let asked: Vec<Asked> = sources.into_iter().zip(levels).collect();
-        let made = match kept {
-            Some(kept) => kept.make(&geometries, &names, asked, diagnostics),
-            None => (asked.into_par_iter())
+        let made = match making {
+            Making::Keeping(kept) => kept.make(&geometries, &names, asked, diagnostics),
+            Making::Once(detail) => (asked.into_par_iter())
                 .map(|(source, level)| make(source, level, detail, diagnostics))
                 .collect(),
         };
         diagnostics.check()?;
-        Ok(self.assemble(&geometries, made, look, diagnostics))
+        Ok(self.assemble(&geometries, made, (raw, look), diagnostics))
     }
 
     /// Distinct geometries in order of first use.
-    fn geometries(&self, names: &[String]) -> Vec<Geometry<'_>> {
-        let inherited = Inherited::of(self.raw, self.occurrences, names);
+    fn geometries<'b>(
+        &self,
+        (raw, bodies): (&'b RawStage, &Bodies),
+        names: &[String],
+    ) -> Vec<Geometry<'b>> {
+        let inherited = Inherited::of(raw, self.occurrences, names);
         let mut by_key: HashMap<(usize, usize), usize> = HashMap::new();
         let mut geometries: Vec<Geometry> = Vec::new();
         for (index, placement) in self.placements.iter().enumerate() {
@@ -157,9 +166,9 @@ impl Layout<'_> {
             let geometry = *by_key.entry((prim, set)).or_insert_with(|| {
                 let owners = inherited.sets[set].iter();
                 geometries.push(Geometry {
-                    prim: &self.raw.prims[prim],
+                    prim: bodies.of(raw, prim),
                     inherited: owners
-                        .map(|(name, owner)| (names[*name].clone(), &self.raw.prims[*owner]))
+                        .map(|(name, owner)| (names[*name].clone(), &raw.prims[*owner]))
                         .collect(),
                     uses: Vec::new(),
                 });
@@ -241,7 +250,7 @@ impl Layout<'_> {
         &self,
         geometries: &[Geometry],
         made: Vec<Option<Made>>,
-        look: &Look,
+        of: (&RawStage, &Look),
         diagnostics: &Diagnostics,
     ) -> Built {
         let mut meshes = Vec::with_capacity(made.len());
@@ -282,7 +291,7 @@ impl Layout<'_> {
         }
         Built {
             meshes,
-            prims: self.prims(of_placement, look),
+            prims: self.prims(of_placement, of),
             triangles,
         }
     }
@@ -307,8 +316,12 @@ impl Layout<'_> {
         false
     }
 
-    fn prims(&self, of_placement: Vec<Option<(MeshId, Affine3A)>>, look: &Look) -> Vec<Prim> {
-        let mut materials = Materials::of(self.raw, self.occurrences, look);
+    fn prims(
+        &self,
+        of_placement: Vec<Option<(MeshId, Affine3A)>>,
+        (raw, look): (&RawStage, &Look),
+    ) -> Vec<Prim> {
+        let mut materials = Materials::of(raw, self.occurrences, look);
         let drawn = self.placements.iter().zip(of_placement);
         drawn
             .filter_map(|(placement, mesh)| {
@@ -384,30 +397,62 @@ enum Source<'a> {
 }
 
 fn read_all<'a>(
-    geometries: &[Geometry<'a>],
+    geometries: &mut [Geometry<'a>],
     names: &[String],
     diagnostics: &Diagnostics,
 ) -> Result<Vec<Source<'a>>, Error> {
-    let read = |geometry: &Geometry<'a>| {
+    let read = |geometry: &mut Geometry<'a>| {
         let inherited = &geometry.inherited;
-        Ok(match Kind::of(geometry.prim) {
-            Kind::Mesh => AuthoredMesh::read(geometry.prim, inherited, names, diagnostics)?
-                .map_or(Source::Nothing, |mesh| Source::Mesh(Box::new(mesh))),
-            Kind::Curves => Curves::read(geometry.prim, inherited, names, diagnostics)
-                .map_or(Source::Nothing, |curves| {
-                    Source::Curves(Box::new(curves), 0.0)
-                }),
-            Kind::Patch => Patch::read(geometry.prim, inherited, names, diagnostics)
-                .map_or(Source::Nothing, |patch| Source::Patch(Box::new(patch), 0.0)),
-            Kind::Points => PointSet::read(geometry.prim, inherited, names, diagnostics)
-                .map_or(Source::Nothing, |set| Source::Points(Box::new(set), 0.0)),
-            _ => Gprim::read(geometry.prim, inherited, names, diagnostics)
-                .map_or(Source::Nothing, |gprim| Source::Gprim(Box::new(gprim), 0)),
+        let prim = match &mut geometry.prim {
+            // only meshes are
+            Cow::Owned(prim) => {
+                let mesh = Cow::Owned(std::mem::take(prim));
+                let mesh = AuthoredMesh::read(mesh, inherited, names, diagnostics)?;
+                return Ok(Source::of(mesh, Source::Mesh));
+            }
+            Cow::Borrowed(prim) => *prim,
+        };
+        Ok(match Kind::of(prim) {
+            Kind::Mesh => {
+                let mesh = AuthoredMesh::read(Cow::Borrowed(prim), inherited, names, diagnostics)?;
+                Source::of(mesh, Source::Mesh)
+            }
+            Kind::Curves => {
+                let curves = Curves::read(prim, inherited, names, diagnostics);
+                Source::of(curves, |curves| Source::Curves(curves, 0.0))
+            }
+            Kind::Patch => {
+                let patch = Patch::read(prim, inherited, names, diagnostics);
+                Source::of(patch, |patch| Source::Patch(patch, 0.0))
+            }
+            Kind::Points => {
+                let set = PointSet::read(prim, inherited, names, diagnostics);
+                Source::of(set, |set| Source::Points(set, 0.0))
+            }
+            _ => {
+                let gprim = Gprim::read(prim, inherited, names, diagnostics);
+                Source::of(gprim, |gprim| Source::Gprim(gprim, 0))
+            }
         })
     };
     // Collected whole first: the error reported is the first in stage order for any thread count.
-    let all: Vec<Result<Source, Error>> = geometries.par_iter().map(read).collect();
+    let all: Vec<Result<Source, Error>> = geometries.par_iter_mut().map(read).collect();
     all.into_iter().collect()
+}
+
+impl<'a> Source<'a> {
+    fn of<T>(read: Option<T>, source: impl FnOnce(Box<T>) -> Self) -> Self {
+        read.map_or(Self::Nothing, |read| source(Box::new(read)))
+    }
+}
+
+/// How geometry is made.
+#[derive(Debug)]
+pub enum Making<'a> {
+    /// As far as that.
+    Once(Detail),
+    /// In [`Detail::Full`]; surfaces are kept for other times.
+    Keeping(&'a mut Surfaces),
 }
 
 /// How far geometry is made.
@@ -452,19 +497,20 @@ fn make(source: Source, level: usize, detail: Detail, diagnostics: &Diagnostics)
         Source::Patch(patch, depth) => patch.tessellate(depth),
         Source::Points(set, depth) => set.tessellate(depth),
         Source::Mesh(mesh) if mesh.scheme == Scheme::None => {
-            (mesh.as_polygons(diagnostics), mesh.center)
+            let center = mesh.center;
+            (mesh.into_polygons(diagnostics), center)
         }
         Source::Mesh(mesh) if detail == Detail::Cages => {
             return Some(Made {
-                mesh: mesh.cage_polygons(),
-                center: mesh.center,
                 triangles: refinement::triangle_count(&mesh, level),
+                center: mesh.center,
+                mesh: mesh.into_cage_polygons(),
             });
         }
-        Source::Mesh(mesh) => (
-            subdivision::subdivide(&mesh, level, diagnostics),
-            mesh.center,
-        ),
+        Source::Mesh(mesh) => {
+            let center = mesh.center;
+            (subdivision::subdivide(*mesh, level, diagnostics), center)
+        }
     };
     Some(Made {
         triangles: mesh.triangles.len(),

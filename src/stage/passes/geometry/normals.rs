@@ -6,13 +6,16 @@
 use super::super::super::raw::RawPrim;
 use super::primvars::{AuthoredPrimvar, Layout, read_attribute};
 use super::topology::Topology;
-use super::triangulate::{Triangulation, area_vector};
+use super::triangulate::area_vector;
 use crate::diagnostics::Diagnostics;
 use crate::scene::Normals;
 use glam::{DVec3, Vec3};
 
 /// Normals that differ by less than this (1 − cosine; 0.08°, above the rounding of half floats) count as one.
 const SAME_NORMAL: f32 = 1e-6;
+
+/// The attributes that have them, stronger ones first, and what else belongs to these.
+pub(super) const NORMALS: [&str; 3] = ["primvars:normals", "normals", "primvars:normals:indices"];
 
 /// Normals of the authored points or face-vertices, unit (or zero where none could be found).
 #[derive(Debug, Clone, PartialEq)]
@@ -87,13 +90,13 @@ impl CageNormals {
         Self::Point(points)
     }
 
-    /// Over the triangles.
-    pub(super) fn on_triangles(&self, triangulation: &Triangulation) -> Normals {
+    /// Over triangles; those of face-vertices are still without `corners`.
+    pub(super) fn on_triangles(&self) -> Normals {
         match self {
             Self::Flat => Normals::Flat,
             Self::Point(values) => Normals::Vertex(values.clone()),
             Self::Corner(values) => Normals::Corner {
-                corners: triangulation.corners.clone(),
+                corners: Vec::new(),
                 values: values.clone(),
             },
         }
@@ -108,40 +111,36 @@ impl CageNormals {
         flipped: bool,
     ) -> (Vec<Vec3>, Vec<Vec3>) {
         let sign = if flipped { -1.0 } else { 1.0 };
-        let areas: Vec<DVec3> = (0..topology.face_count())
-            .map(|face| sign * area_vector(topology.points_of(face), positions))
-            .collect();
-        let corners = match self {
+        let area_of = |face: usize| sign * area_vector(topology.points_of(face), positions);
+        let (mut corners, is_flat) = match self {
             Self::Point(mut points) => {
                 clear_unused(&mut points, topology);
                 return (points, Vec::new());
             }
-            Self::Corner(corners) => corners,
-            Self::Flat => flat_corners(topology, &areas),
+            Self::Corner(corners) => (corners, false),
+            Self::Flat => (vec![Vec3::ZERO; topology.indices.len()], true),
         };
         let mut sums = vec![DVec3::ZERO; topology.point_count];
-        for face in topology.drawn() {
-            let area = areas[face].length();
-            for corner in topology.corners(face) {
-                sums[topology.indices[corner] as usize] += area * corners[corner].as_dvec3();
+        for face in 0..topology.face_count() {
+            let area = area_of(face);
+            if is_flat {
+                corners[topology.corners(face)].fill(area.normalize_or_zero().as_vec3());
+            }
+            if topology.is_drawn[face] {
+                let area = area.length();
+                for corner in topology.corners(face) {
+                    sums[topology.indices[corner] as usize] += area * corners[corner].as_dvec3();
+                }
             }
         }
         let unit = |sum: &DVec3| sum.normalize_or_zero().as_vec3();
         let points = sums.iter().map(unit).collect();
+        drop(sums);
         match Self::Corner(corners).merged(topology) {
             Self::Corner(corners) => (points, corners),
             _ => (points, Vec::new()),
         }
     }
-}
-
-fn flat_corners(topology: &Topology, areas: &[DVec3]) -> Vec<Vec3> {
-    let counts = topology.counts.iter().zip(areas);
-    counts
-        .flat_map(|(&count, area)| {
-            std::iter::repeat_n(area.normalize_or_zero().as_vec3(), count as usize)
-        })
-        .collect()
 }
 
 fn clear_unused(points: &mut [Vec3], topology: &Topology) {
@@ -163,7 +162,7 @@ mod tests {
     use super::*;
 
     /// Two unit squares at a right angle along the edge of points 1 and 2: fronts towards −Y... +Z and −X.
-    fn bent() -> (RawPrim, Topology, Vec<Vec3>) {
+    fn bent() -> (RawPrim, Topology<'static>, Vec<Vec3>) {
         let points = vec![
             Vec3::ZERO,
             Vec3::X,
@@ -174,10 +173,11 @@ mod tests {
         ];
         let prim = mesh("/m", &points, &[4, 4], &[0, 1, 2, 3, 1, 4, 5, 2]);
         let topology = Topology::read(&prim, 6, &Diagnostics::default()).unwrap();
+        let topology = topology.into_owned();
         (prim, topology, points)
     }
 
-    fn read(prim: &RawPrim, topology: &Topology) -> (CageNormals, usize) {
+    fn read(prim: &RawPrim, topology: &Topology<'_>) -> (CageNormals, usize) {
         let diagnostics = Diagnostics::default();
         let normals = CageNormals::read(prim, topology, &diagnostics);
         (normals, diagnostics.warnings().len())

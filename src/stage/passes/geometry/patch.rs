@@ -222,7 +222,7 @@ impl<'a> Patch<'a> {
                     .weights
                     .get(index)
                     .map_or(1.0, |&weight| f64::from(weight));
-                let value = primvar.values[primvar.elements[index] as usize].as_dvec4();
+                let value = primvar.value_of(index).as_dvec4();
                 sum += value * (own * of_u * of_v);
                 weight += own * of_u * of_v;
             }
@@ -475,8 +475,8 @@ fn read_primvars(
 ) -> Vec<AuthoredPrimvar> {
     let topology = Topology {
         point_count,
-        counts: vec![1],
-        indices: Vec::new(),
+        counts: vec![1].into(),
+        indices: Vec::new().into(),
         offsets: Vec::new(),
         is_drawn: Vec::new(),
     };

@@ -92,7 +92,7 @@ impl<'a> PointSet<'a> {
 
     fn radius(&self, point: usize) -> f64 {
         let width = match &self.0.widths {
-            Some(widths) => widths.values[widths.elements[element(widths, point)] as usize].x,
+            Some(widths) => widths.value_of(element(widths, point)).x,
             None => DEFAULT_WIDTH,
         };
         0.5 * f64::from(width).max(0.0)
@@ -137,7 +137,7 @@ impl<'a> PointSet<'a> {
         let stretch = (TAU / (f64::from(DISK_CORNERS) * angle.sin())).sqrt();
         let fan: Vec<[u32; 3]> = (1..DISK_CORNERS - 1).map(|k| [0, k, k + 1]).collect();
         for (point, radius) in self.drawn() {
-            let value = of_points.values[of_points.elements[element(of_points, point)] as usize];
+            let value = of_points.value_of(element(of_points, point));
             let Some(normal) = value.truncate().as_dvec3().try_normalize() else {
                 continue;
             };

@@ -2,7 +2,6 @@
 
 use super::super::super::raw::{RawAttribute, RawPrim, Value};
 use super::topology::Topology;
-use super::triangulate::Triangulation;
 use crate::diagnostics::Diagnostics;
 use crate::scene::{Interpolation, Primvar};
 use glam::{Vec2, Vec3, Vec4};
@@ -46,8 +45,8 @@ pub(super) struct AuthoredPrimvar {
     pub(super) components: u8,
     pub(super) layout: Layout,
     pub(super) values: Vec<Vec4>,
-    /// For every element (face, point, face-vertex) its value.
-    pub(super) elements: Vec<u32>,
+    /// For every element (face, point, face-vertex) its value; `None` = the values are those of the elements, in order.
+    indices: Option<Vec<u32>>,
 }
 
 impl AuthoredPrimvar {
@@ -109,26 +108,52 @@ impl AuthoredPrimvar {
         }
     }
 
-    /// One value an element, in element order.
-    pub(super) fn expanded(&self) -> Vec<Vec4> {
-        let values = self.elements.iter();
-        values.map(|&i| self.values[i as usize]).collect()
+    /// Place among `values` of that of `element`.
+    pub(super) fn place_of(&self, element: u32) -> u32 {
+        match &self.indices {
+            Some(indices) => indices[element as usize],
+            None => element,
+        }
     }
 
-    /// Laid out over the triangles of the authored polygons.
-    pub(super) fn on_polygons(&self, triangulation: &Triangulation) -> Primvar {
-        match self.layout {
-            Layout::Constant => self.finish(Interpolation::Constant, self.expanded()),
-            Layout::Uniform => self.finish(Interpolation::Uniform, self.expanded()),
-            Layout::Vertex | Layout::Varying => self.finish(Interpolation::Vertex, self.expanded()),
+    /// Value of `element`.
+    pub(super) fn value_of(&self, element: usize) -> Vec4 {
+        match &self.indices {
+            Some(indices) => self.values[indices[element] as usize],
+            None => self.values[element],
+        }
+    }
+
+    /// One value an element, in element order.
+    pub(super) fn expanded(&self) -> Vec<Vec4> {
+        match &self.indices {
+            Some(indices) => expanded(&self.values, indices),
+            None => self.values.clone(),
+        }
+    }
+
+    /// Laid out over the triangles of the authored polygons, whose face-vertices are `corners`: only face-varying ones need them.
+    pub(super) fn on_polygons(self, mut corners: Vec<[u32; 3]>) -> Primvar {
+        let interpolation = match self.layout {
+            Layout::Constant => Interpolation::Constant,
+            Layout::Uniform => Interpolation::Uniform,
+            Layout::Vertex | Layout::Varying => Interpolation::Vertex,
             Layout::FaceVarying => {
-                let corners = triangulation.corners.iter();
-                let corners = corners.map(|t| t.map(|corner| self.elements[corner as usize]));
-                self.finish(
-                    Interpolation::Corner(corners.collect()),
-                    self.values.clone(),
-                )
+                for corner in corners.as_flattened_mut() {
+                    *corner = self.place_of(*corner);
+                }
+                Interpolation::Corner(corners)
             }
+        };
+        let values = match self.indices {
+            Some(indices) if self.layout != Layout::FaceVarying => expanded(&self.values, &indices),
+            _ => self.values,
+        };
+        Primvar {
+            name: self.name,
+            components: self.components,
+            interpolation,
+            values,
         }
     }
 
@@ -141,6 +166,10 @@ impl AuthoredPrimvar {
             values,
         }
     }
+}
+
+fn expanded(values: &[Vec4], indices: &[u32]) -> Vec<Vec4> {
+    indices.iter().map(|&i| values[i as usize]).collect()
 }
 
 /// Values of `attribute` with `interpolation`, checked against `topology`. The error says what would be right.
@@ -156,9 +185,9 @@ pub(super) fn read_attribute(
     })?;
     let (components, values) = vectors(attribute)?;
     let count = layout.element_count(topology);
-    let elements = match indices.and_then(|indices| indices.value.as_ref()) {
-        Some(Value::IntArray(indices)) => checked(indices, values.len(), count)?,
-        _ if values.len() == count => (0..u32::try_from(count).unwrap_or(u32::MAX)).collect(),
+    let indices = match indices.and_then(|indices| indices.value.as_ref()) {
+        Some(Value::IntArray(indices)) => Some(checked(indices, values.len(), count)?),
+        _ if values.len() == count => None,
         _ => return Err(wrong_length("values", values.len(), layout, count)),
     };
     Ok(AuthoredPrimvar {
@@ -166,7 +195,7 @@ pub(super) fn read_attribute(
         components,
         layout,
         values,
-        elements,
+        indices,
     })
 }
 
@@ -263,10 +292,11 @@ fn single(x: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::super::tests::{mesh, with_attribute};
+    use super::super::triangulate::Triangulation;
     use super::*;
 
     /// Two triangles and a quad over six points: 3 faces, 10 face-vertices.
-    fn sample() -> (RawPrim, Topology) {
+    fn sample() -> (RawPrim, Topology<'static>) {
         let prim = mesh(
             "/m",
             &[Vec3::ZERO; 6],
@@ -274,6 +304,7 @@ mod tests {
             &[0, 1, 2, 2, 1, 3, 2, 3, 4, 5],
         );
         let topology = Topology::read(&prim, 6, &Diagnostics::default()).unwrap();
+        let topology = topology.into_owned();
         (prim, topology)
     }
 
@@ -335,7 +366,7 @@ mod tests {
         let mut triangulation = Triangulation::default();
         let square = [Vec3::ZERO, Vec3::X, Vec3::X + Vec3::Y, Vec3::Y];
         triangulation.add(2, 6, &[0, 1, 2, 3], &square);
-        let laid_out = primvar.unwrap().on_polygons(&triangulation);
+        let laid_out = primvar.unwrap().on_polygons(triangulation.corners);
         assert_eq!(
             laid_out.interpolation,
             Interpolation::Corner(vec![[6, 7, 8], [6, 8, 9]])

@@ -124,7 +124,7 @@ impl Plan {
             cage_faces: mesh.topology.counts.len() as u64,
             first_faces,
         };
-        let needed = sharpness_levels(mesh.prim);
+        let needed = sharpness_levels(&mesh.prim);
         plan.least = (plan.least..=needed.clamp(plan.least, MAX_LEVEL))
             .rev()
             .find(|&level| plan.faces(level) <= FACE_BUDGET)
@@ -221,6 +221,7 @@ mod tests {
     use super::super::tests::{mesh, with_attribute, with_ints, with_token};
     use super::*;
     use glam::Vec3;
+    use std::borrow::Cow;
 
     /// A row of unit quads.
     fn strip(count: i32) -> RawPrim {
@@ -238,7 +239,7 @@ mod tests {
 
     fn level(prim: &RawPrim, edges: &[f64]) -> (Vec<usize>, usize) {
         let diagnostics = Diagnostics::default();
-        let authored = AuthoredMesh::read(prim, &[], &[], &diagnostics);
+        let authored = AuthoredMesh::read(Cow::Borrowed(prim), &[], &[], &diagnostics);
         let authored = authored.unwrap().unwrap();
         let demands: Vec<Demand> = edges
             .iter()
@@ -321,7 +322,7 @@ mod tests {
         for (around, expected) in [(100, 0), (60, 0), (24, 1), (8, 3)] {
             let prim = tube(around);
             let diagnostics = Diagnostics::default();
-            let authored = AuthoredMesh::read(&prim, &[], &[], &diagnostics);
+            let authored = AuthoredMesh::read(Cow::Borrowed(&prim), &[], &[], &diagnostics);
             let authored = authored.unwrap().unwrap();
             let shape = Shape::of(&authored);
             let height = 1.0 - (std::f64::consts::PI / f64::from(around)).cos();

@@ -22,21 +22,23 @@ const INFINITE_SHARPNESS: f32 = 10.0;
 
 /// Refine `mesh` `level` times; 0 only if all its faces are of the size that the scheme refines into. Topology that cannot be subdivided (a face that uses a point twice, Loop
 /// with other faces than triangles) gives a warning and the mesh as polygons.
-pub(super) fn subdivide(mesh: &AuthoredMesh, level: usize, diagnostics: &Diagnostics) -> Mesh {
-    match Refined::new(mesh, level, diagnostics) {
-        Ok(refined) => refined.into_mesh(),
-        Err(reason) => {
-            diagnostics.warn(
-                "not-subdivided",
-                mesh.prim.path.clone(),
-                format!(
-                    "{} subdivision is not possible, drawn as polygons: {reason}",
-                    mesh.scheme.token()
-                ),
-            );
-            mesh.as_polygons(diagnostics)
+pub(super) fn subdivide(mesh: AuthoredMesh, level: usize, diagnostics: &Diagnostics) -> Mesh {
+    let reason = match Refined::new(&mesh, level, diagnostics) {
+        Ok(refined) => {
+            let parts = refined.into_parts();
+            return mesh.finish(parts);
         }
-    }
+        Err(reason) => reason,
+    };
+    diagnostics.warn(
+        "not-subdivided",
+        mesh.prim.path.clone(),
+        format!(
+            "{} subdivision is not possible, drawn as polygons: {reason}",
+            mesh.scheme.token()
+        ),
+    );
+    mesh.into_polygons(diagnostics)
 }
 
 /// Levels that the finite sharpnesses of `prim` need before limits may be taken.
@@ -68,7 +70,7 @@ impl<'a> Refined<'a> {
         diagnostics: &Diagnostics,
     ) -> Result<Self, String> {
         let faces: Vec<u32> = (0..)
-            .zip(&mesh.topology.counts)
+            .zip(mesh.topology.counts.iter())
             .filter_map(|(face, &count)| (count >= 3).then_some(face))
             .collect();
         let mut refiner = Control::of(mesh, &faces, diagnostics).refiner(mesh)?;
@@ -88,7 +90,7 @@ impl<'a> Refined<'a> {
         self.refiner.level(self.refiner.max_level())
     }
 
-    fn into_mesh(self) -> Mesh {
+    fn into_parts(self) -> Parts {
         let points: Vec<[f64; 3]> = self
             .mesh
             .points
@@ -130,7 +132,7 @@ impl<'a> Refined<'a> {
         let channels = self.channels();
         let primvars = self.mesh.primvars.iter().zip(channels);
         let primvars = primvars.map(|(p, channel)| self.primvar(p, channel, &triangulation));
-        self.mesh.finish(Parts {
+        Parts {
             primvars: primvars.collect(),
             positions,
             triangles: triangulation.triangles,
@@ -138,8 +140,9 @@ impl<'a> Refined<'a> {
             normals,
             point_normals,
             corner_normals,
+            boundary: self.mesh.topology.boundary(),
             scheme: self.mesh.scheme,
-        })
+        }
     }
 
     /// Values of the last level by the smooth rules.
@@ -184,7 +187,7 @@ impl<'a> Refined<'a> {
     fn drawn(&self, sources: &[u32]) -> Vec<bool> {
         let base = self.refiner.level(0);
         let mut is_drawn = self.mesh.topology.is_drawn.clone();
-        if boundary_rule(self.mesh.prim) == VtxBoundaryInterpolation::None {
+        if boundary_rule(&self.mesh.prim) == VtxBoundaryInterpolation::None {
             for (index, &face) in self.faces.iter().enumerate() {
                 let mut points = base.face_vertices(index).iter();
                 is_drawn[face as usize] &= !points.any(|&v| base.is_vertex_boundary(v as usize));
@@ -341,7 +344,7 @@ impl<'a> Refined<'a> {
             (Layout::FaceVarying, Some(channel)) => {
                 self.face_varying(primvar, channel, triangulation)
             }
-            _ => primvar.on_polygons(triangulation),
+            _ => primvar.clone().on_polygons(Vec::new()),
         }
     }
 
@@ -402,7 +405,7 @@ impl<'a> Refined<'a> {
     }
 }
 
-fn small(index: usize) -> u32 {
+pub(super) fn small(index: usize) -> u32 {
     u32::try_from(index).expect("opensubdiv-rs numbers everything in u32")
 }
 

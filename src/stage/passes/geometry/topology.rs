@@ -4,24 +4,40 @@ use super::super::super::Error;
 use super::super::super::raw::RawPrim;
 use super::attributes::{ints, token};
 use crate::diagnostics::Diagnostics;
+use std::borrow::Cow;
+
+/// The attributes that faces are made of.
+pub(super) const ARRAYS: [&str; 2] = ["faceVertexCounts", "faceVertexIndices"];
 
 /// Valid faces over `point_count` points: counts and indices agree, every index is in range.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Topology {
+pub(super) struct Topology<'a> {
     pub(super) point_count: usize,
-    pub(super) counts: Vec<u32>,
-    pub(super) indices: Vec<u32>,
+    pub(super) counts: Cow<'a, [u32]>,
+    pub(super) indices: Cow<'a, [u32]>,
     /// First face-vertex of every face, and the total at the end.
     pub(super) offsets: Vec<u32>,
     /// False for holes and for faces of fewer than three vertices.
     pub(super) is_drawn: Vec<bool>,
 }
 
-impl Topology {
+impl<'a> Topology<'a> {
     /// Read and check the faces of `prim`; holes that name no face and faces of fewer than three vertices are
     /// left out with a warning.
+    #[cfg(test)]
     pub(super) fn read(
+        prim: &'a RawPrim,
+        point_count: usize,
+        diagnostics: &Diagnostics,
+    ) -> Result<Self, Error> {
+        let [counts, indices] = ARRAYS.map(|name| Cow::Borrowed(ints(prim, name)));
+        Self::of(prim, (counts, indices), point_count, diagnostics)
+    }
+
+    /// The same of the arrays that `prim` has, or had, by the names [`ARRAYS`].
+    pub(super) fn of(
         prim: &RawPrim,
+        (counts, indices): (Cow<'a, [i32]>, Cow<'a, [i32]>),
         point_count: usize,
         diagnostics: &Diagnostics,
     ) -> Result<Self, Error> {
@@ -29,8 +45,8 @@ impl Topology {
             prim: prim.path.clone(),
             message,
         };
-        let counts = counts(prim).map_err(fail)?;
-        let indices = indices(prim, point_count).map_err(fail)?;
+        let counts = checked_counts(counts).map_err(fail)?;
+        let indices = checked_indices(indices, point_count).map_err(fail)?;
         let offsets = offsets(&counts, indices.len()).map_err(fail)?;
         let is_drawn = drawn_faces(prim, &counts, diagnostics);
         Ok(Self {
@@ -40,6 +56,16 @@ impl Topology {
             offsets,
             is_drawn,
         })
+    }
+
+    /// The same, of no prim.
+    #[cfg(test)]
+    pub(super) fn into_owned(self) -> Topology<'static> {
+        Topology {
+            counts: self.counts.into_owned().into(),
+            indices: self.indices.into_owned().into(),
+            ..self
+        }
     }
 
     /// Number of authored faces.
@@ -117,7 +143,7 @@ struct EdgeBuckets {
 }
 
 impl EdgeBuckets {
-    fn of(topology: &Topology) -> Self {
+    fn of(topology: &Topology<'_>) -> Self {
         let mut offsets = vec![0_u32; topology.point_count + 1];
         each_edge(topology, |from, to| {
             offsets[from.min(to) as usize + 1] += 1;
@@ -148,29 +174,32 @@ fn each_edge(topology: &Topology, mut edge: impl FnMut(u32, u32)) {
     }
 }
 
-fn counts(prim: &RawPrim) -> Result<Vec<u32>, String> {
-    let authored = ints(prim, "faceVertexCounts").iter().enumerate();
-    authored
-        .map(|(face, &count)| {
-            u32::try_from(count).map_err(|_| {
-                format!("face {face} has a vertex count of {count}, it must be 3 or more")
-            })
-        })
-        .collect()
+fn checked_counts(authored: Cow<'_, [i32]>) -> Result<Cow<'_, [u32]>, String> {
+    match authored.iter().position(|&count| count < 0) {
+        Some(face) => Err(format!(
+            "face {face} has a vertex count of {}, it must be 3 or more",
+            authored[face]
+        )),
+        None => Ok(without_sign(authored)),
+    }
 }
 
-fn indices(prim: &RawPrim, point_count: usize) -> Result<Vec<u32>, String> {
-    let authored = ints(prim, "faceVertexIndices").iter();
-    authored
-        .map(|&index| {
-            u32::try_from(index)
-                .ok()
-                .filter(|&index| (index as usize) < point_count)
-                .ok_or_else(|| {
-                    format!("face vertex index {index} is out of range, the mesh has {point_count} points")
-                })
-        })
-        .collect()
+fn checked_indices(authored: Cow<'_, [i32]>, point_count: usize) -> Result<Cow<'_, [u32]>, String> {
+    let is_out = |index: &i32| usize::try_from(*index).map_or(true, |index| index >= point_count);
+    match authored.iter().find(|index| is_out(index)) {
+        Some(index) => Err(format!(
+            "face vertex index {index} is out of range, the mesh has {point_count} points"
+        )),
+        None => Ok(without_sign(authored)),
+    }
+}
+
+/// Numbers of which none is below 0.
+fn without_sign(numbers: Cow<'_, [i32]>) -> Cow<'_, [u32]> {
+    match numbers {
+        Cow::Borrowed(numbers) => Cow::Borrowed(bytemuck::cast_slice(numbers)),
+        Cow::Owned(numbers) => Cow::Owned(bytemuck::cast_vec(numbers)),
+    }
 }
 
 fn offsets(counts: &[u32], index_count: usize) -> Result<Vec<u32>, String> {
@@ -234,9 +263,14 @@ mod tests {
     use super::*;
     use glam::Vec3;
 
-    fn read(counts: &[i32], indices: &[i32], point_count: usize) -> Result<Topology, Error> {
+    fn read(
+        counts: &[i32],
+        indices: &[i32],
+        point_count: usize,
+    ) -> Result<Topology<'static>, Error> {
         let prim = mesh("/m", &[Vec3::ZERO], counts, indices);
-        Topology::read(&prim, point_count, &Diagnostics::default())
+        let read = Topology::read(&prim, point_count, &Diagnostics::default());
+        read.map(Topology::into_owned)
     }
 
     #[test]

@@ -11,13 +11,31 @@ use glam::{DVec2, DVec3, Vec3};
 pub(super) struct Triangulation {
     /// Vertex indices.
     pub(super) triangles: Vec<[u32; 3]>,
-    /// Face-vertex (corner) indices, parallel to `triangles`.
+    /// Face-vertex (corner) indices, parallel to `triangles`; empty where nothing is listed by them.
     pub(super) corners: Vec<[u32; 3]>,
     /// Face of each triangle.
     pub(super) faces: Vec<u32>,
+    is_bare: bool,
+}
+
+/// Whether a [`Triangulation`] lists face-vertices too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Corners {
+    Listed,
+    NotNeeded,
 }
 
 impl Triangulation {
+    /// Room for `count` triangles.
+    pub(super) fn with_capacity(count: usize, corners: Corners) -> Self {
+        Self {
+            triangles: Vec::with_capacity(count),
+            corners: Vec::with_capacity(if corners == Corners::Listed { count } else { 0 }),
+            faces: Vec::with_capacity(count),
+            is_bare: corners == Corners::NotNeeded,
+        }
+    }
+
     /// Add face `face`, whose face-vertices `first_corner..` are `points`.
     pub(super) fn add(&mut self, face: u32, first_corner: u32, points: &[u32], positions: &[Vec3]) {
         let mut push = |local: [usize; 3]| {
@@ -25,8 +43,10 @@ impl Triangulation {
             let [a, b, c] = triangle;
             if a != b && b != c && c != a {
                 self.triangles.push(triangle);
-                self.corners
-                    .push(local.map(|i| first_corner + local_index(i)));
+                if !self.is_bare {
+                    self.corners
+                        .push(local.map(|i| first_corner + local_index(i)));
+                }
                 self.faces.push(face);
             }
         };

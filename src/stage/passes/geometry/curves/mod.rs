@@ -274,7 +274,7 @@ impl<'a> Curves<'a> {
     }
 
     fn value(&self, primvar: &AuthoredPrimvar, curve: &Curve, at: Place) -> Vec4 {
-        let element = |index: usize| primvar.values[primvar.elements[index] as usize];
+        let element = |index: usize| primvar.value_of(index);
         match primvar.layout {
             Layout::Constant => element(0),
             Layout::Uniform => element(curve.number as usize),

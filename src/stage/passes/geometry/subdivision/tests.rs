@@ -57,8 +57,8 @@ fn sharp_edges(prim: RawPrim, pairs: &[i32], sharpness: f32) -> RawPrim {
 fn refine_with(prim: &RawPrim, level: usize, names: &[&str]) -> (Mesh, Vec<String>) {
     let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
     let diagnostics = Diagnostics::default();
-    let authored = AuthoredMesh::read(prim, &[], &names, &diagnostics);
-    let mesh = subdivide(&authored.unwrap().unwrap(), level, &diagnostics);
+    let authored = AuthoredMesh::read(std::borrow::Cow::Borrowed(prim), &[], &names, &diagnostics);
+    let mesh = subdivide(authored.unwrap().unwrap(), level, &diagnostics);
     let kinds = diagnostics.warnings().into_iter().map(|w| w.kind);
     (mesh, kinds.collect())
 }

@@ -82,7 +82,8 @@ fn build_in(raw: &RawStage, look: &Look, detail: Detail) -> Result<(Built, Vec<u
     let diagnostics = Diagnostics::default();
     let occurrences = flatten(raw, &settings, &diagnostics);
     let layout = lay_out(raw, &occurrences, &settings, &diagnostics)?;
-    let made = layout.build(look, detail, None, &diagnostics)?;
+    let (raw, making) = (Lent::Whole(raw), Making::Once(detail));
+    let made = layout.build(raw, look, making, &diagnostics)?;
     let warnings = diagnostics.warnings().into_iter().map(|w| w.kind).collect();
     let built = Built {
         meshes: made.meshes,
