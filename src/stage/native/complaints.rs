@@ -2,6 +2,7 @@
 //! too goes on with a warning.
 
 use super::OTHER_DOOR;
+use super::layer_files::EMPTY_SESSION;
 use crate::diagnostics::Warning;
 use crate::stage::Error;
 use crate::stage::materialx::is_document;
@@ -16,6 +17,8 @@ const USD_EXTENSIONS: [&str; 4] = ["usd", "usda", "usdc", "usdz"];
 /// # Errors
 /// When a layer that exists could not be read.
 pub(super) fn judge(error: &pcp::Error, root: &Path) -> Result<Option<Warning>, Error> {
+    // The crate names a stack of layers by its strongest, which is not the user's where it is the empty session layer.
+    let named = |text: String| text.replace(EMPTY_SESSION, &root.to_string_lossy());
     let (kind, prim, message) = match error {
         pcp::Error::UnresolvedLayer {
             asset_path,
@@ -44,12 +47,12 @@ pub(super) fn judge(error: &pcp::Error, root: &Path) -> Result<Option<Warning>, 
             reason,
             site_path,
             ..
-        } => return malformed(asset_path, reason, &site_path.to_string()),
+        } => return malformed(asset_path, &named(reason.clone()), &site_path.to_string()),
         pcp::Error::MalformedSublayer {
             asset_path,
             introduced_by,
             reason,
-        } => return malformed(asset_path, reason, introduced_by),
+        } => return malformed(asset_path, reason, &named(introduced_by.clone())),
         pcp::Error::ArcCycle(chain) => (
             "composition-cycle",
             chain.composing.to_string(),
@@ -68,8 +71,8 @@ pub(super) fn judge(error: &pcp::Error, root: &Path) -> Result<Option<Warning>, 
     };
     Ok(Some(Warning {
         kind: kind.to_owned(),
-        prim,
-        message,
+        prim: named(prim),
+        message: named(message),
     }))
 }
 

@@ -439,3 +439,23 @@ fn muted_layers_may_be_broken() {
     });
     assert_eq!(found, [Outcome::Equal(1), Outcome::Equal(1)]);
 }
+
+/// A stage that has no session layer of its own is composed with an empty one, of which nobody needs to hear.
+#[test]
+fn missing_layers_are_told_with_names_that_the_user_knows() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let root = folder.path().join("root.usda");
+    let text = "#usda 1.0\ndef \"a\" ( references = @./gone.usda@ ) { }\n";
+    fs::write(&root, format!("{text}{}", mesh("m", 1.0))).expect("written");
+    let (_, warnings) =
+        crate::scene_of(&root, Door::Native, &Reading::default()).expect("it is read");
+    let told = warnings
+        .iter()
+        .find(|warning| warning.kind == "missing-layer");
+    let told = &told.expect("a warning").message;
+    assert!(
+        told.contains("gone.usda") && told.contains("root.usda"),
+        "{told}"
+    );
+    assert!(!told.contains("surflux:"), "{told}");
+}
