@@ -8,6 +8,7 @@ mod environment;
 mod form_factor;
 mod lights;
 mod linked;
+mod linked_domes;
 mod panels;
 mod particles;
 mod pattern;
@@ -18,6 +19,7 @@ mod shaping;
 mod stand;
 
 pub use environment::{EnvironmentCell, EnvironmentSet, SkyLight};
+pub use linked_domes::LinkedDomes;
 
 use crate::diagnostics::Diagnostics;
 use crate::scene::{PlacedMesh, PrimId, Scene, on_the_side_of};
@@ -28,7 +30,9 @@ use environment::Environment;
 use glam::Vec3;
 use lights::{AreaLight, Patterns};
 use linked::LinkedLights;
+use linked_domes::{Fineness, is_linked};
 use stand::Stand;
+use std::sync::Arc;
 
 /// A point that receives light on one side.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -196,7 +200,9 @@ fn end_before(distance: f32) -> f32 {
 #[derive(Debug)]
 pub struct Lighting {
     lights: LinkedLights,
+    /// Domes without links.
     environment: Environment,
+    linked_domes: Arc<LinkedDomes>,
     emitters: Emitters,
     /// For receivers.
     fine: Detail,
@@ -226,12 +232,16 @@ impl Lighting {
     /// Prepare the scene's lights and emissive surfaces; textures are read here (missing ones are warnings). `samples`
     /// are those for receivers; surfels have at most [`LightSamples::SURFEL`].
     pub fn new(shader: &Shader<'_>, samples: LightSamples, diagnostics: &Diagnostics) -> Self {
-        let environment = Environment::new(shader.lights(), diagnostics);
+        let everywhere = shader.lights().filter(|light| !is_linked(light));
+        let environment = Environment::new(everywhere, diagnostics);
         let coarse = samples.at_most(LightSamples::SURFEL);
-        let [fine_sky, coarse_sky] = environment.sets([samples.environment, coarse.environment]);
-        let surfaces = (shader.scene(), shader.opacity());
+        let counts = [samples.environment, coarse.environment];
+        let [fine_sky, coarse_sky] = environment.sets(counts);
+        let surfaces = || (shader.scene(), shader.opacity());
+        let linked = LinkedDomes::new(surfaces(), shader.lights(), counts, diagnostics);
         Self {
-            lights: LinkedLights::new(surfaces, shader.lights(), diagnostics),
+            linked_domes: Arc::new(linked),
+            lights: LinkedLights::new(surfaces(), shader.lights(), diagnostics),
             emitters: Emitters::new(shader),
             fine: Detail::new(samples, fine_sky),
             coarse: Detail::new(coarse, coarse_sky),
@@ -266,10 +276,24 @@ impl Lighting {
         points: &[ShadePoint],
         reach: f32,
     ) -> Vec<SkyLight> {
-        let set = &self.fine.sky;
-        in_blocks(tracer, (points, reach), |stands| {
-            self.environment.block(set, stands)
-        })
+        self.skies_of(Fineness::Receivers, tracer, (points, reach))
+    }
+
+    fn skies_of(
+        &self,
+        fineness: Fineness,
+        tracer: &Tracer,
+        (points, reach): (&[ShadePoint], f32),
+    ) -> Vec<SkyLight> {
+        let sky = match fineness {
+            Fineness::Receivers => &self.fine.sky,
+            Fineness::Surfels => &self.coarse.sky,
+        };
+        let mut light = in_blocks(tracer, (points, reach), |stands| {
+            self.environment.block(sky, stands)
+        });
+        (self.linked_domes).add(fineness, tracer, (points, reach), &mut light);
+        light
     }
 
     /// The sky divided anew, for engines that look along directions of their own: [`EnvironmentSet::even`] then has one
@@ -286,20 +310,26 @@ impl Lighting {
         self.environment.set_along(directions, importance)
     }
 
-    /// The directions that all receivers look at the environment along; empty without domes.
+    /// The directions that all receivers look at the environment along, domes with links apart; empty without others.
     pub fn environment_set(&self) -> &EnvironmentSet {
         &self.fine.sky
     }
 
-    /// Radiance of the environment from unit `direction` (towards the sky), summed over domes.
-    pub fn environment_radiance(&self, direction: Vec3) -> Vec3 {
-        self.environment.radiance(direction)
+    /// Domes that are in no [`EnvironmentSet`] of this.
+    pub fn linked_domes(&self) -> &Arc<LinkedDomes> {
+        &self.linked_domes
     }
 
-    /// The environment's radiance if it is the same in all directions (then irradiance = π · L · visibility); black
-    /// without domes.
+    /// Radiance of the environment from unit `direction` (towards the sky), summed over the domes that light `prim`; over all
+    /// domes for whoever lies on none.
+    pub fn environment_radiance(&self, prim: Option<PrimId>, direction: Vec3) -> Vec3 {
+        self.environment.radiance(direction) + self.linked_domes.radiance(prim, direction)
+    }
+
+    /// The environment's radiance if it is the same in all directions and for all prims (then irradiance = π · L · visibility);
+    /// black without domes.
     pub fn uniform_environment(&self) -> Option<Vec3> {
-        self.environment.uniform
+        (self.environment.uniform).filter(|_| self.linked_domes.is_empty())
     }
 
     /// Distance and radiance of the nearest light whose shape lies along the unit `direction` closer than `max_distance`.
@@ -323,7 +353,7 @@ impl Lighting {
 
     /// True if there are dome lights that are not black.
     pub fn has_environment(&self) -> bool {
-        self.environment.is_lit()
+        self.environment.is_lit() || !self.linked_domes.is_empty()
     }
 
     /// True if some surface emits.
@@ -343,7 +373,8 @@ impl Lighting {
     pub fn glimpse(&self, tracer: &Tracer, point: &ShadePoint, number: u32) -> Vec3 {
         let stand = Stand::new(tracer, point);
         let sky = if self.has_environment() {
-            self.environment.glimpse(&self.fine.sky, &stand, number)
+            let linked = self.linked_domes.glimpse(&stand, number);
+            self.environment.glimpse(&self.fine.sky, &stand, number) + linked
         } else {
             Vec3::ZERO
         };
@@ -377,10 +408,11 @@ impl Lighting {
     }
 
     fn environment_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        (self
-            .environment
-            .light(&detail.sky, &Stand::new(tracer, point)))
-        .irradiance
+        let stand = Stand::new(tracer, point);
+        let mut light = [self.environment.light(&detail.sky, &stand)];
+        let asked = (std::slice::from_ref(point), f32::INFINITY);
+        self.linked_domes.add_light(tracer, asked, &mut light);
+        light[0].irradiance
     }
 
     fn emitters_by(&self, detail: &Detail, shader: &Shader<'_>, stand: &Stand<'_>) -> Vec3 {
@@ -444,9 +476,7 @@ impl SurfelLighting<'_> {
     pub fn wide(&self, shader: &Shader<'_>, tracer: &Tracer, points: &[ShadePoint]) -> Vec<Vec3> {
         let (lighting, detail) = (self.lighting, &self.lighting.coarse);
         let mut light = if lighting.has_environment() {
-            let sky = in_blocks(tracer, (points, f32::INFINITY), |stands| {
-                lighting.environment.block(&detail.sky, stands)
-            });
+            let sky = lighting.skies_of(Fineness::Surfels, tracer, (points, f32::INFINITY));
             sky.into_iter().map(|light| light.irradiance).collect()
         } else {
             vec![Vec3::ZERO; points.len()]

@@ -288,7 +288,7 @@ fn glow(
             let radiance = own.map_or(Vec3::ZERO, |(_, radiance)| radiance);
             (radiance * open).extend(open)
         }
-        None => (shown.lighting.environment_radiance(direction) * open).extend(0.0),
+        None => (shown.lighting.environment_radiance(None, direction) * open).extend(0.0),
     }
 }
 

@@ -8,6 +8,7 @@ mod floors;
 mod program;
 
 mod displacement;
+mod dome_links;
 mod gloss;
 mod light_groups;
 mod odd_lights;

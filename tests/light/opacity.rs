@@ -94,7 +94,8 @@ fn baked(
     aovs.split(',').map(|aov| values(&layer, aov)).collect()
 }
 
-fn bake(folder: &Path, path: &Path, aovs: &str, flags: &[&str]) -> String {
+/// The layer that baking `aovs` at the stage `path` results in.
+pub(crate) fn bake(folder: &Path, path: &Path, aovs: &str, flags: &[&str]) -> String {
     let out = folder.join("out.usda");
     let mut args = vec!["bake", path.to_str().expect("UTF-8"), "--usd", "native"];
     args.extend(["-o", out.to_str().expect("UTF-8"), "--aov", aovs]);
@@ -106,7 +107,12 @@ fn bake(folder: &Path, path: &Path, aovs: &str, flags: &[&str]) -> String {
 
 /// Values of `aov` at the floor's four points; single numbers are gray.
 fn values(layer: &str, aov: &str) -> Vec<Vec3> {
-    let over = &layer[layer.find("\"floor\"").expect("the floor")..];
+    values_of("floor", layer, aov)
+}
+
+/// The same at those of the square `mesh`.
+pub(crate) fn values_of(mesh: &str, layer: &str, aov: &str) -> Vec<Vec3> {
+    let over = &layer[layer.find(&format!("\"{mesh}\"")).expect("the mesh")..];
     let name = format!("primvars:{aov} = [");
     let values = &over[over.find(&name).expect("the primvar") + name.len()..];
     let values = &values[..values.find(']').expect("an end")];

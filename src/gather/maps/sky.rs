@@ -7,13 +7,16 @@
 use super::MapsSettings;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::neighbors;
-use crate::lighting::{EnvironmentCell, EnvironmentSet, Lighting, ShadePoint, SkyLight};
+use crate::lighting::{
+    EnvironmentCell, EnvironmentSet, Lighting, LinkedDomes, ShadePoint, SkyLight,
+};
 use crate::math::luminance;
 use crate::receivers::Receivers;
 use crate::scene::Scene;
 use crate::trace::Tracer;
 use glam::Vec3;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Receivers a unit of parallel work of rays: what looks together.
 const BLOCK: usize = 64;
@@ -30,6 +33,8 @@ pub struct MapsSky {
     directions: Vec<Vec3>,
     /// Even cells: along the first axis, against it, along the second …
     set: EnvironmentSet,
+    /// What no map shows: rays look at it.
+    linked: Arc<LinkedDomes>,
     /// Nothing beyond hides the sky.
     reach: f32,
 }
@@ -42,6 +47,7 @@ impl MapsSky {
         Self {
             set: lighting.environment_along(&both, BRIGHT_SHARE),
             directions,
+            linked: Arc::clone(lighting.linked_domes()),
             reach: settings.max_distance.unwrap_or(f32::INFINITY),
         }
     }
@@ -77,7 +83,7 @@ impl MapsSky {
         seen + sunken * if all > 0.0 { open / all } else { 0.0 }
     }
 
-    /// Light from suns and small bright areas at each of `receivers`, by rays.
+    /// Light from suns, small bright areas and domes with links at each of `receivers`, by rays.
     ///
     /// # Errors
     /// When cancelled.
@@ -88,7 +94,7 @@ impl MapsSky {
         diagnostics: &Diagnostics,
     ) -> Result<Vec<SkyLight>, Cancelled> {
         let count = receivers.len();
-        if self.set.importance().is_empty() {
+        if self.set.importance().is_empty() && self.linked.is_empty() {
             return Ok(vec![SkyLight::default(); count]);
         }
         let phase = diagnostics.phase("maps", "rays to bright sky", count as u64);
@@ -99,7 +105,10 @@ impl MapsSky {
                 .map(|&i| point(scene, receivers, i))
                 .collect();
             phase.advance(block.len() as u64);
-            Ok(self.set.importance_light(tracer, &points, self.reach))
+            let mut light = self.set.importance_light(tracer, &points, self.reach);
+            let asked = (&points[..], self.reach);
+            self.linked.add_light(tracer, asked, &mut light);
+            Ok(light)
         };
         let blocks: Result<Vec<_>, Cancelled> = order.par_chunks(BLOCK).map(block).collect();
         let mut light = vec![SkyLight::default(); count];

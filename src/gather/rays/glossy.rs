@@ -89,7 +89,8 @@ impl Glossy<'_> {
                 break;
             }
             let Some(further) = found else {
-                let sky = lighting.map(|lighting| lighting.environment_radiance(next));
+                let sky =
+                    lighting.map(|lighting| lighting.environment_radiance(Some(hit.prim), next));
                 light += part * sky.unwrap_or(Vec3::ZERO);
                 break;
             };

@@ -5,6 +5,7 @@ use super::{Hemisphere, Look, Pattern, RaysEngine, Stand};
 use crate::lighting::Lighting;
 use crate::math::sequence;
 use crate::receivers::Receivers;
+use crate::scene::PrimId;
 use crate::shading::gloss::Gloss;
 use crate::shading::{Shader, SurfacePoint};
 use crate::trace::Tracer;
@@ -77,6 +78,7 @@ impl RaysEngine<'_> {
         let stand = Stand::of(receivers, i);
         let origin = self.query.lift(receivers.position[i], stand.lift);
         let gloss = lobes.shader.gloss(&receivers.surface[i]);
+        let prim = Some(PrimId(receivers.prim[i]));
         let mut layers = Vec::new();
         for lobe in gloss.lobes() {
             for (&point, number) in points.iter().zip(0..) {
@@ -100,7 +102,7 @@ impl RaysEngine<'_> {
                 let open = 1.0 - sight.coverage;
                 let mut light = sight.light.reflected + sight.light.emitted;
                 if let Some(lighting) = lobes.lighting.filter(|_| open > 0.0) {
-                    light += lighting.environment_radiance(direction) * open;
+                    light += lighting.environment_radiance(prim, direction) * open;
                 }
                 seen.direction.push(direction);
                 seen.weight.push(1.0 / points.len() as f32);

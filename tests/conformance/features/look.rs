@@ -130,7 +130,12 @@ def {light} \"l\" ( apiSchemas = [\"CollectionAPI:{link}\"] ) {{
 
 #[test]
 fn lights_are_linked_to_the_prims_their_collections_hold() {
-    for link in ["lightLink", "shadowLink"] {
+    for (light, link) in [
+        ("SphereLight", "lightLink"),
+        ("SphereLight", "shadowLink"),
+        ("DomeLight", "lightLink"),
+        ("DomeLight", "shadowLink"),
+    ] {
         let name = |part: &str| format!("collection:{link}:{part}");
         let (includes, excludes) = (name("includes"), name("excludes"));
         let no_root = format!("uniform bool {} = 0\n", name("includeRoot"));
@@ -151,25 +156,24 @@ fn lights_are_linked_to_the_prims_their_collections_hold() {
                 rule("expandPrimsAndProperties")
             ),
         ] {
-            equal(&linked("SphereLight", link, &body), None, 5);
+            equal(&linked(light, link, &body), None, 5);
         }
     }
 }
 
 #[test]
-fn links_of_domes_and_mesh_lights_are_named() {
+fn links_of_mesh_lights_are_named() {
     for link in ["lightLink", "shadowLink"] {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("root.usda");
-        let body = format!("rel collection:{link}:excludes = </m>");
-        let text = format!("#usda 1.0\n{}", linked("DomeLight", link, &body));
-        fs::write(&path, text).expect("written");
+        let body = format!("rel collection:{link}:excludes = </glow>");
+        fs::write(&path, format!("#usda 1.0\n{}", mesh_light(&body))).expect("written");
         for door in [Door::UsdCore, Door::Native] {
             let (_, warnings) = scene_of(&path, door, &Reading::default()).expect("it is read");
             assert_eq!(warnings.len(), 1, "{warnings:#?}");
             assert_eq!(
                 (&*warnings[0].kind, &*warnings[0].prim),
-                ("unsupported-light", "/l")
+                ("unsupported-light", "/x/m")
             );
         }
     }

@@ -1,6 +1,6 @@
 //! UsdLux prims → [`Light`]s, with the schemas' fallbacks and their older names without `inputs:`.
 //!
-//! What point-based light cannot honour (IES profiles, filters, links of domes and meshes, portals, geometry lights) is left out
+//! What point-based light cannot honour (IES profiles, filters, links of meshes, portals, geometry lights) is left out
 //! with a warning that says what follows.
 
 use super::blackbody;
@@ -34,14 +34,9 @@ pub(super) fn read(
                     .warn("it is below a PointInstancer: lights are not instanced, it is left out");
                 return None;
             }
-            let is_dome = matches!(kind, LightKind::Dome { .. });
             let world_from_local = paths.occurrences()[index].world_from_local;
             let light = reader.light(kind, world_from_local, origin)?;
-            let links = Links::read(paths, index, diagnostics);
-            if is_dome {
-                reader.warn_of_links(paths, index);
-            }
-            Some((light, links))
+            Some((light, Links::read(paths, index, diagnostics)))
         })
         .collect()
 }
@@ -560,6 +555,6 @@ mod tests {
             .value("size", Value::Vec2(DVec2::ONE));
         let (lights, warnings) = read_lights(&stage, UpAxis::Y);
         assert_eq!(lights.len(), 1);
-        assert_eq!(warnings.len(), 7, "{warnings:#?}");
+        assert_eq!(warnings.len(), 6, "{warnings:#?}");
     }
 }
