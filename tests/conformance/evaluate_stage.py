@@ -230,10 +230,7 @@ class Evaluation:
             return points, place
         _, skinning, query = found
         if skinning.HasBlendShapes() and query.GetAnimQuery():
-            weights = query.GetAnimQuery().ComputeBlendShapeWeights(self.time)
-            mapper = skinning.GetBlendShapeMapper()
-            weights = mapper.Remap(weights) if mapper else weights
-            points = self.blended(UsdSkel.BindingAPI(prim), weights, points)
+            points = self.blended(UsdSkel.BindingAPI(prim), self.shape_weights(skinning, query), points)
         if not skinning.HasJointInfluences():
             return points, place
         joints = query.ComputeSkinningTransforms(self.time)
@@ -246,6 +243,25 @@ class Evaluation:
         else:
             points = np.array(vectors, dtype=float)
         return points, np.array(self.xforms.GetLocalToWorldTransform(query.GetPrim()))
+
+    def shape_weights(self, skinning, query):
+        weights = query.GetAnimQuery().ComputeBlendShapeWeights(self.time)
+        mapper = skinning.GetBlendShapeMapper()
+        return mapper.Remap(weights) if mapper else weights
+
+    def shapes_of_normals(self, prim):
+        """The binding of `prim` in a copy of its stage where what shapes do to normals is what they do to points: usd-core's
+        Python blends points only."""
+        copy = self.stage_of_normals = Usd.Stage.Open(prim.GetStage().Flatten())  # prims do not keep it
+        binding = UsdSkel.BindingAPI(copy.GetPrimAtPath(prim.GetPath()))
+        for path in binding.GetBlendShapeTargetsRel().GetTargets():
+            shape = UsdSkel.BlendShape(copy.GetPrimAtPath(path))
+            steps = [(shape.GetOffsetsAttr(), shape.GetNormalOffsetsAttr())]
+            steps += [(step.GetAttr(), step.GetNormalOffsetsAttr()) for step in shape.GetInbetweens()]
+            for of_points, of_normals in steps:
+                own = of_normals.Get() if of_normals else None
+                of_points.Set(own or [Gf.Vec3f(0)] * len(of_points.Get()))
+        return binding
 
     def moved_whole(self, prim, place):
         """The matrix of a gprim without points that a skeleton moves."""
@@ -269,6 +285,8 @@ class Evaluation:
             return None
         normals = np.array(values, dtype=float)
         found = self.skinning(prim)
+        if found and found[1].HasBlendShapes() and found[2].GetAnimQuery() and interpolation in ("vertex", "varying"):
+            normals = self.blended(self.shapes_of_normals(prim), self.shape_weights(*found[1:]), normals)
         if found and found[1].HasJointInfluences():
             if interpolation not in ("vertex", "varying", "faceVarying"):
                 return None

@@ -114,6 +114,135 @@ fn what_is_not_drawn_is_named() {
     }
 }
 
+/// A sheet with a hole.
+#[test]
+fn trim_curves_are_named_with_what_follows() {
+    let text = r#"#usda 1.0
+def NurbsPatch "patch" {
+    int uVertexCount = 2
+    int vVertexCount = 2
+    int uOrder = 2
+    int vOrder = 2
+    double[] uKnots = [0, 0, 1, 1]
+    double[] vKnots = [0, 0, 1, 1]
+    double2 uRange = (0, 1)
+    double2 vRange = (0, 1)
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 0, 1), (1, 0, 1)]
+    int[] trimCurve:counts = [1]
+    int[] trimCurve:orders = [2]
+    int[] trimCurve:vertexCounts = [4]
+    double[] trimCurve:knots = [0, 0, 1, 2, 3, 3]
+    double2[] trimCurve:ranges = [(0, 3)]
+    double3[] trimCurve:points = [(0.25, 0.25, 1), (0.75, 0.25, 1), (0.5, 0.75, 1), (0.25, 0.25, 1)]
+}"#;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("root.usda");
+    fs::write(&path, text).expect("written");
+    for door in [Door::UsdCore, Door::Native] {
+        let (_, warnings) = crate::scene_of(&path, door, &Reading::default()).expect("it is read");
+        let told = warnings.iter().any(|warning| {
+            warning.kind == "trim-curves"
+                && warning.prim == "/patch"
+                && warning.message.contains("drawn whole")
+        });
+        assert!(told, "{door:?}: {warnings:#?}");
+    }
+}
+
+/// As usd-core writes them: no place in the file, and types of their own.
+#[test]
+fn empty_arrays_of_binary_layers() {
+    let make = r#"
+import sys
+from pxr import Usd
+stage = Usd.Stage.CreateInMemory()
+stage.GetRootLayer().ImportFromString(open(sys.argv[1]).read())
+stage.GetRootLayer().Export(sys.argv[2])
+"#;
+    let empty = "int[] holeIndices = []
+        int[] creaseIndices = []
+        int[] creaseLengths = []
+        float[] creaseSharpnesses = []
+        normal3f[] primvars:normals = []
+        texCoord2f[] primvars:st = [] ( interpolation = \"faceVarying\" )
+        int[] primvars:st:indices = []
+        float3[] extent = []
+        uniform token[] xformOpOrder = []\n";
+    let text = format!(
+        "#usda 1.0
+def Mesh \"m\" {{ {} {empty} }}
+def Mesh \"nothing\" {{ point3f[] points = []
+    int[] faceVertexCounts = []
+    int[] faceVertexIndices = []
+}}
+def PointInstancer \"some\" {{
+    rel prototypes = [</some/proto>]
+    int[] protoIndices = [0, 0]
+    point3f[] positions = [(0, 0, 0), (5, 0, 0)]
+    int64[] invisibleIds = []
+    int64[] ids = []
+    vector3f[] velocities = []
+    quath[] orientations = []
+    float3[] scales = []
+    def Mesh \"proto\" {{ {} }}
+}}
+def PointInstancer \"none\" {{
+    rel prototypes = []
+    int[] protoIndices = []
+    point3f[] positions = []
+}}\n",
+        quad(1.0),
+        quad(2.0)
+    );
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let [from, path] = ["root.usda", "root.usdc"].map(|name| folder.path().join(name));
+    fs::write(&from, text).expect("written");
+    crate::python::run_python(make, &[&from, &path]);
+    let mut evaluator = Evaluator::start();
+    for door in [Door::UsdCore, Door::Native] {
+        let tally = judge(&mut evaluator, &path, door, &Reading::default()).expect("it is read");
+        assert_eq!(tally.differences, Vec::<String>::new(), "{door:?}");
+        let kinds: Vec<String> = tally.reasons.into_keys().collect();
+        assert_eq!((kinds, tally.prims), (Vec::new(), 3), "{door:?}");
+    }
+}
+
+#[test]
+fn purposes_and_visibility_come_from_above() {
+    let text = format!(
+        "def Xform \"render\" {{
+    uniform token purpose = \"render\"
+    def Xform \"within\" {{
+        {}
+    }}
+    def Xform \"guide\" {{
+        uniform token purpose = \"guide\"
+        {}
+    }}
+    def Scope \"again\" {{
+        uniform token purpose = \"default\"
+        {}
+    }}
+}}
+def Xform \"hidden\" {{
+    token visibility = \"invisible\"
+    def Xform \"still\" {{
+        token visibility = \"inherited\"
+        {}
+    }}
+}}
+def Xform \"seen\" {{
+    {}
+}}\n",
+        mesh("a", 1.0),
+        mesh("b", 2.0),
+        mesh("c", 3.0),
+        mesh("d", 4.0),
+        mesh("e", 5.0)
+    );
+    equal(&text, None, 3);
+}
+
 #[test]
 fn points_with_and_without_widths_and_normals() {
     let points = "point3f[] points = [(0, 0, 0), (3, 0, 1), (1, 2, 0)]";

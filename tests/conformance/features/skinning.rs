@@ -138,6 +138,34 @@ fn shapes_in_between_are_blended_and_gone_beyond() {
 }
 
 #[test]
+fn normals_follow_shapes_and_those_in_between() {
+    let shape = "normal3f[] normals = [(0, 0, 1), (1, 0, 0), (0.6, 0, 0.8), (0, -1, 0)]
+        uniform token[] skel:blendShapes = [\"up\"]
+        rel skel:blendShapeTargets = [</root/m/up>]
+        def BlendShape \"up\" {
+            uniform vector3f[] offsets = [(0, 1, 0), (0, 2, 0), (0, 3, 0)]
+            uniform vector3f[] normalOffsets = [(0, 1, 0), (0.5, 0, 0), (0, 0, 2)]
+            uniform int[] pointIndices = [3, 0, 1]
+            uniform vector3f[] inbetweens:late = [(1, 0, 0), (0, 0, 2), (0, 0, 1)] ( weight = 0.75 )
+            uniform vector3f[] inbetweens:late:normalOffsets = [(0, 0.25, 1), (0, 1, 0), (0.5, 0, 0)]
+            uniform vector3f[] inbetweens:early = [(2, 0, 0), (0, 4, 2), (0, 0, 1)] ( weight = 0.25 )
+        }";
+    for weight in [-0.5, 0.1, 0.4, 0.75, 1.0, 1.75] {
+        let animation = format!(
+            "rel skel:animationSource = </root/skel/anim>
+        def SkelAnimation \"anim\" {{
+            uniform token[] blendShapes = [\"up\"]
+            float[] blendShapeWeights = [{weight}]
+        }}"
+        );
+        for influences in [WEIGHTS, ""] {
+            let text = skinned(&format!("{influences} {shape}"), &animation);
+            equal(&text, None, 1);
+        }
+    }
+}
+
+#[test]
 fn normals_follow_the_joints() {
     let of_points = "normal3f[] normals = [(0, 0, 1), (1, 0, 0), (0.6, 0, 0.8), (0, -1, 0)]\n";
     let of_corners = "normal3f[] primvars:normals = [(0, 0, 1), (1, 0, 0), (0.6, 0, 0.8)] ( interpolation = \"faceVarying\" )
