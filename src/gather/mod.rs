@@ -108,6 +108,11 @@ pub trait Engine: Sync + Debug {
         Ok(None)
     }
 
+    /// True if hemispheres tell how far away what covers a direction is; else that is 0.
+    fn tells_distances(&self) -> bool {
+        false
+    }
+
     /// True if a block is seen the faster the nearer to each other its receivers are: [`gather`] then hands neighbors
     /// over together, in receivers of their own. What one sees must not depend on the others beyond the engine's error.
     fn gains_from_neighbors(&self) -> bool {

@@ -264,6 +264,10 @@ impl Engine for RaysEngine<'_> {
         RAYS_A_BLOCK / self.pattern.rays()
     }
 
+    fn tells_distances(&self) -> bool {
+        self.source.is_some()
+    }
+
     fn gains_from_neighbors(&self) -> bool {
         matches!(self.pattern, Pattern::Shared(_))
     }

@@ -14,103 +14,182 @@ const BEYOND: f32 = 0.25;
 /// A receiver this near to a seed, as a share of the distance to the farthest, is at it.
 const AT_SEED: f32 = 1e-6;
 
-/// A seed as a blend sees it.
-#[derive(Debug, Clone, Copy)]
-struct Voice {
-    seed: u32,
-    distance: f32,
-    alike: f32,
+/// Seeds that are heard side by side.
+const LANES: usize = 8;
+
+type Lanes = [f32; LANES];
+
+/// What [`LANES`] seeds say: of each, where it stands, and what is linear in place and normal. Lanes without a seed have
+/// normals of zero, and nobody is like these.
+#[derive(Debug, Clone, Copy, Default)]
+struct Stands {
+    position: [Lanes; 3],
+    normal: [Lanes; 3],
 }
 
-/// Blends values at one receiver after the other; memory is reused.
+/// One component of what they say.
+#[derive(Debug, Clone, Copy, Default)]
+struct Says {
+    /// With the normal 0, at the origin of the blend.
+    level: Lanes,
+    turn: [Lanes; 3],
+    gradient: [Lanes; 3],
+    /// Change from the origin to where the seed stands.
+    before: Lanes,
+}
+
+/// Blends values from the same seeds at one receiver after the other.
 #[derive(Debug)]
-pub(super) struct Blend<'a> {
-    seeds: &'a Seeds,
-    /// Change of each component of each seed with place, per stage unit.
-    gradients: &'a [Vec3],
-    voices: Vec<Voice>,
+pub(super) struct Blend {
+    /// Positions are relative to it.
+    origin: Vec3,
+    stands: Vec<Stands>,
+    /// Component by component, each in the order of `stands`.
+    says: Vec<Says>,
 }
 
-impl<'a> Blend<'a> {
-    pub(super) fn new(seeds: &'a Seeds, gradients: &'a [Vec3]) -> Self {
+impl Blend {
+    /// From the seeds `asked`, at least one; `gradients` are the changes of each component of every seed with place, per
+    /// stage unit.
+    pub(super) fn new(seeds: &Seeds, gradients: &[Vec3], asked: &[u32]) -> Self {
+        let origin = seeds.position[asked[0] as usize];
+        let n = seeds.components;
+        let groups = asked.len().div_ceil(LANES);
+        let mut stands = vec![Stands::default(); groups];
+        let mut says = vec![Says::default(); n * groups];
+        for (k, &seed) in asked.iter().enumerate() {
+            let (group, lane, i) = (k / LANES, k % LANES, seed as usize);
+            let position = seeds.position[i] - origin;
+            for axis in 0..3 {
+                stands[group].position[axis][lane] = position[axis];
+                stands[group].normal[axis][lane] = seeds.normal[i][axis];
+            }
+            for component in 0..n {
+                let place = i * n + component;
+                let (turn, gradient) = (seeds.turns[place], gradients[place]);
+                let own = &mut says[component * groups + group];
+                own.level[lane] = seeds.turned(seed, component, Vec3::ZERO);
+                own.before[lane] = gradient.dot(position);
+                for axis in 0..3 {
+                    own.turn[axis][lane] = turn[axis];
+                    own.gradient[axis][lane] = gradient[axis];
+                }
+            }
+        }
         Self {
-            seeds,
-            gradients,
-            voices: Vec::new(),
+            origin,
+            stands,
+            says,
         }
     }
 
-    /// Write the values at receiver `i` to `out`, from the seeds `asked`; false if none of these may speak for it.
+    /// Write the values at receiver `i` to `out`; false if none of the seeds may speak for it. `voices` is room to work in.
     ///
     /// Weights fall to zero at the farthest seed (Franke and Little's for Shepard's method) and grow without bound at each:
     /// values are continuous, and those of the seeds are met.
     pub(super) fn at(
-        &mut self,
-        receivers: &Receivers,
-        i: usize,
-        asked: &[u32],
+        &self,
+        (receivers, i): (&Receivers, usize),
+        voices: &mut Vec<Voices>,
         out: &mut [f32],
     ) -> bool {
-        let normal = receivers.normal[i];
-        self.listen(receivers.position[i], normal, asked);
-        let farthest = self
-            .voices
-            .iter()
-            .map(|voice| voice.distance)
-            .fold(0.0, f32::max);
-        let weight = |voice: &Voice| {
-            let share = (voice.distance / farthest).max(AT_SEED);
-            voice.alike * (1.0 / share - 1.0).powi(2)
-        };
-        let mut sum = 0.0_f64;
-        let mut total = [0.0_f64; MOST_COMPONENTS];
-        let mut range = [(f32::INFINITY, f32::NEG_INFINITY); MOST_COMPONENTS];
-        for voice in &self.voices {
-            let weight = f64::from(weight(voice));
-            let offset = receivers.position[i] - self.seeds.position[voice.seed as usize];
-            let n = self.seeds.components;
-            let gradients = &self.gradients[voice.seed as usize * n..][..n];
-            let told = (0..n).zip(gradients).zip(&mut total).zip(&mut range);
-            for (((component, gradient), total), range) in told {
-                let value = self.seeds.turned(voice.seed, component, normal);
-                *total += weight * f64::from(value + gradient.dot(offset));
-                *range = (range.0.min(value), range.1.max(value));
-            }
-            sum += weight;
-        }
+        let (normal, place) = (receivers.normal[i], receivers.position[i] - self.origin);
+        voices.clear();
+        voices.extend(self.stands.iter().map(|stands| stands.heard(place, normal)));
+        let farthest = (voices.iter().flat_map(|voices| voices.distance)).fold(0.0, f32::max);
+        (voices.iter_mut()).for_each(|voices| voices.weigh(farthest));
+        let sum = total(voices.iter().map(|voices| voices.weight));
         if sum <= 0.0 {
             return false;
         }
-        for ((out, total), (low, high)) in out.iter_mut().zip(total).zip(range) {
-            let beyond = BEYOND * (high - low);
+        for (out, says) in out.iter_mut().zip(self.says.chunks_exact(voices.len())) {
+            let mut range = (f32::INFINITY, f32::NEG_INFINITY);
+            let told = says.iter().zip(voices.iter()).map(|(says, voices)| {
+                let (value, told) = says.at(place, normal);
+                let mut weighted = [0.0; LANES];
+                for lane in 0..LANES {
+                    weighted[lane] = voices.weight[lane] * told[lane];
+                    if voices.alike[lane] > 0.0 {
+                        range = (range.0.min(value[lane]), range.1.max(value[lane]));
+                    }
+                }
+                weighted
+            });
             #[expect(clippy::cast_possible_truncation, reason = "rounded once, at its end")]
-            let value = (total / sum) as f32;
-            *out = value.clamp(low - beyond, high + beyond);
+            let value = (total(told) / sum) as f32;
+            let beyond = BEYOND * (range.1 - range.0);
+            *out = value.clamp(range.0 - beyond, range.1 + beyond);
         }
         true
     }
+}
 
-    /// Find out who of `asked` may speak, and how far away they are.
-    fn listen(&mut self, position: Vec3, normal: Vec3, asked: &[u32]) {
-        let seeds = self.seeds;
-        let voice = |&seed: &u32| {
-            let other = seeds.normal[seed as usize];
-            let alike = (other.dot(normal) - ALIKE) / (1.0 - ALIKE);
-            let offset = position - seeds.position[seed as usize];
-            let off_plane = OFF_PLANE * offset.dot(other);
-            (alike > 0.0).then(|| Voice {
-                seed,
-                distance: offset.length().hypot(off_plane),
-                alike,
-            })
-        };
-        self.voices.clear();
-        self.voices.extend(asked.iter().filter_map(voice));
+/// How a receiver hears [`LANES`] seeds.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Voices {
+    /// 0 for those that may not speak.
+    distance: Lanes,
+    /// How much a seed looks the same way, up to 1; 0 and less for those that may not speak.
+    alike: Lanes,
+    weight: Lanes,
+}
+
+impl Voices {
+    /// Fill `weight`, if the farthest of all that may speak is so far away.
+    fn weigh(&mut self, farthest: f32) {
+        for lane in 0..LANES {
+            let share = (self.distance[lane] / farthest).max(AT_SEED);
+            self.weight[lane] = self.alike[lane].max(0.0) * (1.0 / share - 1.0).powi(2);
+        }
     }
 }
 
-/// Components of all that is interpolated at once, at most.
-pub(super) const MOST_COMPONENTS: usize = 16;
+impl Stands {
+    fn heard(&self, place: Vec3, normal: Vec3) -> Voices {
+        let mut voices = Voices {
+            distance: [0.0; LANES],
+            alike: [0.0; LANES],
+            weight: [0.0; LANES],
+        };
+        let ([x, y, z], [a, b, c]) = (&self.position, &self.normal);
+        for lane in 0..LANES {
+            let (x, y, z) = (place.x - x[lane], place.y - y[lane], place.z - z[lane]);
+            let (a, b, c) = (a[lane], b[lane], c[lane]);
+            let alike = a * normal.x + b * normal.y + c * normal.z - ALIKE;
+            let off_plane = OFF_PLANE * (x * a + y * b + z * c);
+            let distance = (x * x + y * y + z * z + off_plane * off_plane).sqrt();
+            voices.alike[lane] = alike / (1.0 - ALIKE);
+            voices.distance[lane] = if alike > 0.0 { distance } else { 0.0 };
+        }
+        voices
+    }
+}
+
+impl Says {
+    /// With that normal where each stands, and at `place`.
+    fn at(&self, place: Vec3, normal: Vec3) -> (Lanes, Lanes) {
+        let (mut value, mut told) = ([0.0; LANES], [0.0; LANES]);
+        let ([a, b, c], [x, y, z]) = (&self.turn, &self.gradient);
+        for lane in 0..LANES {
+            value[lane] =
+                self.level[lane] + a[lane] * normal.x + b[lane] * normal.y + c[lane] * normal.z;
+            told[lane] = value[lane] - self.before[lane]
+                + (x[lane] * place.x + y[lane] * place.y + z[lane] * place.z);
+        }
+        (value, told)
+    }
+}
+
+/// Sum of all lanes.
+fn total(all: impl Iterator<Item = Lanes>) -> f64 {
+    let mut sum = [0.0_f32; LANES];
+    for lanes in all {
+        for (sum, lane) in sum.iter_mut().zip(lanes) {
+            *sum += lane;
+        }
+    }
+    sum.into_iter().map(f64::from).sum()
+}
 
 #[cfg(test)]
 mod tests {
@@ -124,7 +203,8 @@ mod tests {
         let receivers = receivers_at(&[(place, normal)]);
         let mut out = [f32::NAN];
         let asked: Vec<u32> = seeds.all().collect();
-        let is_told = Blend::new(seeds, &gradients).at(&receivers, 0, &asked, &mut out);
+        let blend = Blend::new(seeds, &gradients, &asked);
+        let is_told = blend.at((&receivers, 0), &mut Vec::new(), &mut out);
         is_told.then_some(out[0])
     }
 

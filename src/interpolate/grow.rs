@@ -158,14 +158,14 @@ impl Work<'_> {
             if cell.run.len() == 1 {
                 return false;
             }
-            let own = field.seeds.receiver[cell.seed as usize];
             let is_foretold = || {
                 (index.fit(cell.seed)).is_some_and(|fit| {
                     base::relative(self.base, &fit.surprise, &field.scales) <= limit
                 })
             };
             let run = &field.cells.order[cell.run.clone()];
-            strictness.room.is_crowded(tracer, receivers, run, own) || !is_foretold()
+            (strictness.room).is_crowded(tracer, (receivers, run), (&field.seeds, cell.seed))
+                || !is_foretold()
         };
         cells.par_iter().map(is_rough).collect()
     }

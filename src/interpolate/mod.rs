@@ -16,6 +16,7 @@ mod blend;
 mod cells;
 mod fit;
 mod grow;
+mod places;
 mod room;
 mod scales;
 mod seeds;
@@ -284,16 +285,21 @@ impl Work<'_> {
         Ok(true)
     }
 
-    /// What `engine` sees at the receivers `which`: of each its values, then their changes with the normal.
+    /// What `engine` sees at the receivers `which`: [`Seeds::floats`] each.
     fn read(&self, engine: &dyn Engine, which: &[u32]) -> Result<Vec<f32>, Cancelled> {
         let receivers = self.gathering.receivers;
         let few = receivers.subset(&which.iter().map(|&i| i as usize).collect::<Vec<_>>());
         let n = self.components();
         let reading = |i: usize, hemisphere: &Hemisphere, out: &mut [f32]| {
-            let (values, turns) = out.split_at_mut(n);
+            let (values, rest) = out.split_at_mut(n);
+            let (turns, own_room) = rest.split_at_mut(3 * n);
             base::read(self.base, (&few, i), hemisphere, values);
             base::read_turns(self.base, few.normal[i], hemisphere, turns);
+            own_room[0] = match engine.tells_distances() {
+                true => room::of(hemisphere),
+                false => f32::NAN,
+            };
         };
-        gather::read(engine, &few, (4 * n, &reading), self.diagnostics)
+        gather::read(engine, &few, (Seeds::floats(n), &reading), self.diagnostics)
     }
 }

@@ -1,6 +1,8 @@
 //! A cell → whether it has room enough for its seed to speak for all of it: the nearer things are, and the more its surface
 //! bends, the faster what it sees changes. Ward and Heckbert, *Irradiance Gradients* (1992).
 
+use super::seeds::Seeds;
+use crate::gather::Hemisphere;
 use crate::math::sequence;
 use crate::receivers::Receivers;
 use crate::trace::Tracer;
@@ -15,7 +17,8 @@ pub(super) struct Room {
     pub(super) bent: f32,
 }
 
-/// Rays that look around: a few of them meet whatever is near, and they cost little of what the receiver itself does.
+/// Rays that look around where the engine does not tell how far away things are: a few of them meet whatever is near, and
+/// they cost little of what the receiver itself does.
 const LOOKS: u32 = 32;
 
 impl Room {
@@ -24,22 +27,36 @@ impl Room {
     pub(super) fn is_crowded(
         self,
         tracer: &Tracer,
-        receivers: &Receivers,
-        cell: &[u32],
-        seed: u32,
+        (receivers, cell): (&Receivers, &[u32]),
+        (seeds, seed): (&Seeds, u32),
     ) -> bool {
-        let own = seed as usize;
+        let own = seeds.receiver[seed as usize] as usize;
         let farthest = |values: &[Vec3]| {
             let apart = |&i: &u32| values[i as usize].distance(values[own]);
             cell.iter().map(apart).fold(0.0, f32::max)
         };
+        let room = || match seeds.room[seed as usize] {
+            room if room.is_nan() => look(tracer, receivers, own),
+            room => room,
+        };
         farthest(&receivers.normal) > self.bent
-            || farthest(&receivers.position) > self.crowded * room(tracer, receivers, own)
+            || farthest(&receivers.position) > self.crowded * room()
     }
 }
 
-/// Harmonic mean of the distances to what receiver `i` sees, stage units; infinite under an open sky.
-fn room(tracer: &Tracer, receivers: &Receivers, i: usize) -> f32 {
+/// Harmonic mean of the distances in `hemisphere`, whose engine tells them ([`crate::gather::Engine::tells_distances`]);
+/// infinite under an open sky.
+pub(super) fn of(hemisphere: &Hemisphere) -> f32 {
+    let mut sums = (0.0, 0.0);
+    for (&weight, &distance) in hemisphere.weight.iter().zip(&hemisphere.distance) {
+        sums.0 += weight;
+        sums.1 += weight / distance.max(f32::MIN_POSITIVE);
+    }
+    sums.0 / sums.1
+}
+
+/// The same of what receiver `i` sees, if nobody has told.
+fn look(tracer: &Tracer, receivers: &Receivers, i: usize) -> f32 {
     let up = receivers.rim_normal(i);
     let origin = tracer.lift(receivers.position[i], up);
     let frame = sequence::transported_frame(up);

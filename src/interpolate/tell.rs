@@ -3,7 +3,7 @@
 use super::base;
 use super::blend::Blend;
 use super::grow::{Cell, Field};
-use super::seeds::{ASKED, Seeds};
+use super::seeds::{ASKED, SeedIndex, Seeds};
 use super::{Fault, Kind, Work};
 use crate::diagnostics::Cancelled;
 use crate::gather::estimate::spread;
@@ -62,21 +62,21 @@ impl Work<'_> {
         } = field;
         let (receivers, n) = (self.gathering.receivers, seeds.components);
         let index = seeds.index();
-        let gradient = |seed| index.fit(seed).map(|fit| fit.gradient);
-        let gradients: Vec<Vec3> = (seeds.all().into_par_iter())
-            .flat_map_iter(|seed| gradient(seed).unwrap_or_else(|| vec![Vec3::ZERO; n]))
+        let asked: Vec<Vec<u32>> = (smooth.par_iter())
+            .map(|cell| index.near(cell.seed, ASKED))
             .collect();
-        let blend = |cell: &Cell| {
-            let mut blend = Blend::new(seeds, &gradients);
-            let asked = index.near(cell.seed, ASKED);
+        let gradients = gradients(&index, &asked);
+        let blend = |(cell, asked): (&Cell, &Vec<u32>)| {
+            let (blend, mut voices) = (Blend::new(seeds, &gradients, asked), Vec::new());
             let run = &cells.order[cell.run.clone()];
             let mut out = vec![0.0; n * run.len()];
             let is_told: Vec<bool> = (run.iter().zip(out.chunks_exact_mut(n)))
-                .map(|(&i, out)| blend.at(receivers, i as usize, &asked, out))
+                .map(|(&i, out)| blend.at((receivers, i as usize), &mut voices, out))
                 .collect();
             (out, is_told)
         };
-        let found: Vec<(Vec<f32>, Vec<bool>)> = smooth.par_iter().map(blend).collect();
+        let found: Vec<(Vec<f32>, Vec<bool>)> =
+            (smooth.par_iter().zip(&asked)).map(blend).collect();
         let mut told = Told {
             values: vec![0.0; n * receivers.len()],
             blended: Vec::new(),
@@ -145,4 +145,20 @@ impl Work<'_> {
             false => Some(Fault::Of(untrue)),
         })
     }
+}
+
+/// How each component of every seed changes with place; zero of those that nobody asks and of those that do not know.
+fn gradients(index: &SeedIndex<'_>, asked: &[Vec<u32>]) -> Vec<Vec3> {
+    let n = index.seeds.components;
+    let mut is_asked = vec![false; index.seeds.len()];
+    for &seed in asked.iter().flatten() {
+        is_asked[seed as usize] = true;
+    }
+    let gradient = |seed: u32| {
+        let fit = is_asked[seed as usize].then(|| index.fit(seed)).flatten();
+        fit.map_or_else(|| vec![Vec3::ZERO; n], |fit| fit.gradient)
+    };
+    (index.seeds.all().into_par_iter())
+        .flat_map_iter(gradient)
+        .collect()
 }
