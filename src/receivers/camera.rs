@@ -5,6 +5,8 @@
 //! pixels are smooth, and separately on both sides of an edge. Where a surface lets light through, a sample is shared between
 //! it and what is behind.
 
+mod one_face;
+
 use super::Receivers;
 use super::lens::{Frame, Lens};
 use super::sampling::{Sampling, place_of_sample};
@@ -16,12 +18,16 @@ use crate::shading::SurfacePoint;
 use crate::trace::{Beam, Hit, Layer, Tracer};
 use glam::{DAffine3, DMat3, DVec3, Vec3, Vec4};
 use rayon::prelude::*;
+use std::cell::OnceCell;
 
 /// Cosine of the angle (15°) beyond which normals in one pixel are different surfaces.
 const SAME_NORMAL_COSINE: f32 = 0.966;
 
 /// Hits farther than this many pixels off the plane of the first are a different surface.
 const SAME_PLANE_PIXELS: f32 = 2.0;
+
+/// Cameras whose axes are unit and upright to each other to this measure space as the world does.
+const RIGID: f64 = 1e-9;
 
 /// A pixel on a surface seen edge-on is as long as this many pixels at most, for texture filtering.
 const MOST_STRETCH: f32 = 8.0;
@@ -247,6 +253,8 @@ struct Face<'a> {
     world: PlacedMesh<'a>,
     /// Unit, of the plane, on this side.
     normal: Vec3,
+    /// Its edges from its first corner if all its normals belong to one surface; found out when it is asked for.
+    even: OnceCell<Option<[Vec3; 2]>>,
 }
 
 /// What tells one [`Face`] from another.
@@ -265,6 +273,7 @@ impl<'a> Face<'a> {
             front,
             world,
             normal: world.normal(plane) * side(front),
+            even: OnceCell::new(),
         }
     }
 
@@ -298,6 +307,8 @@ struct View<'a> {
     lens: Lens,
     /// Relative to the scene's origin.
     world_from_camera: DAffine3,
+    /// True if it keeps lengths.
+    is_rigid: bool,
     sampling: &'a Sampling,
 }
 
@@ -308,10 +319,12 @@ impl<'a> View<'a> {
         (camera, frame): (&Camera, Frame),
         sampling: &'a Sampling,
     ) -> Self {
+        let axes = camera.world_from_camera.matrix3;
         View {
             scene,
             cast,
             lens: Lens::new(camera, frame),
+            is_rigid: (axes.transpose() * axes).abs_diff_eq(DMat3::IDENTITY, RIGID),
             world_from_camera: DAffine3 {
                 matrix3: camera.world_from_camera.matrix3,
                 translation: camera.world_from_camera.translation - scene.origin,
@@ -343,6 +356,10 @@ impl<'a> View<'a> {
             clusters.clear();
             self.look_through((x, y), &mut rays, &mut sights);
             (self.cast)(&mut sights);
+            if let Some(seen) = self.of_one_face(&rays, &sights.layers, &mut face) {
+                row.push((y * width + x, 1.0, seen));
+                continue;
+            }
             for (ray, layers) in rays.iter().zip(&sights.layers) {
                 let mut open = 1.0;
                 for layer in layers {
@@ -373,7 +390,7 @@ impl<'a> View<'a> {
         let ray = self.lens.ray(x, y);
         let direction = self.world_from_camera.transform_vector3(ray.direction);
         // Scaled cameras measure distances in world units too: USD's cameras should not be scaled, some are.
-        let scale = direction.length();
+        let scale = if self.is_rigid { 1.0 } else { direction.length() };
         let origin = self.world_from_camera.transform_point3(ray.origin);
         WorldRay {
             ray: CameraRay {
@@ -398,9 +415,8 @@ impl<'a> View<'a> {
     /// What `ray` meets at `hit` on `face`, which gives `part` of what is seen.
     #[expect(clippy::cast_possible_truncation, reason = "distances, rounded to f32")]
     fn seen(&self, ray: &WorldRay, (hit, face): (&Hit, &Face<'_>), part: f32) -> Seen {
-        let (direction, scale) = (ray.ray.direction, ray.scale);
-        let along = f64::from(hit.distance) / scale * ray.axial;
-        let depth = self.lens.near_distance() + along;
+        let direction = ray.ray.direction;
+        let depth = self.depth_in_full(ray, hit);
         let geometric = face.normal;
         let shading = face.shading_normal(hit);
         // A pixel covers its area at that depth × cosine to the axis / cosine to the surface.
@@ -416,6 +432,16 @@ impl<'a> View<'a> {
             front: hit.front,
             part,
         }
+    }
+
+    /// From the camera to `hit` along the viewing axis, units of camera space.
+    fn depth_in_full(&self, ray: &WorldRay, hit: &Hit) -> f64 {
+        self.lens.near_distance() + f64::from(hit.distance) / ray.scale * ray.axial
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "distances, rounded to f32")]
+    fn depth(&self, ray: &WorldRay, hit: &Hit) -> f32 {
+        self.depth_in_full(ray, hit) as f32
     }
 
     /// Put `seen` to the first cluster of the same surface, or into a new one.
