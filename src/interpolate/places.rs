@@ -92,17 +92,15 @@ impl<T: Fn(u32) -> bool> Search<'_, T> {
         }
         let (axis, at) = self.places.cuts[i];
         let middle = run.start + run.len() / 2;
-        let halves = [
-            (2 * i + 1, run.start..middle),
-            (2 * i + 2, middle..run.end),
-        ];
+        let halves = [(2 * i + 1, run.start..middle), (2 * i + 2, middle..run.end)];
         let [low, high] = halves;
         let past = self.place[axis] - at;
         let (near, far) = if past < 0.0 { (low, high) } else { (high, low) };
         self.visit(near.0, near.1, beyond);
         let mut farther = beyond;
         farther[axis] = past.abs();
-        if self.found.len() < self.count || farther.length_squared() <= self.found[self.count - 1].0 {
+        if self.found.len() < self.count || farther.length_squared() <= self.found[self.count - 1].0
+        {
             self.visit(far.0, far.1, farther);
         }
     }
@@ -110,7 +108,11 @@ impl<T: Fn(u32) -> bool> Search<'_, T> {
     /// Put a point in its place among those found, if it is near enough and passes the test.
     fn offer(&mut self, point: (f32, u32)) {
         let is_before = |other: &(f32, u32)| {
-            other.0.total_cmp(&point.0).then(other.1.cmp(&point.1)).is_lt()
+            other
+                .0
+                .total_cmp(&point.0)
+                .then(other.1.cmp(&point.1))
+                .is_lt()
         };
         let is_full = self.found.len() == self.count;
         if is_full && self.found.last().is_some_and(is_before) || !(self.is_taken)(point.1) {
@@ -167,7 +169,8 @@ mod tests {
 
     #[test]
     fn equally_far_points_come_by_number() {
-        let place = |i: u32| Vec3::new(f32::from((i % 10) as u8), f32::from((i / 10) as u8), 0.0) / 5.0;
+        let place =
+            |i: u32| Vec3::new(f32::from((i % 10) as u8), f32::from((i / 10) as u8), 0.0) / 5.0;
         let points: Vec<_> = (0..100).map(|i| (place(99 - i) - Vec3::ONE, i)).collect();
         assert_finds(&points, |_| true);
         let one: Vec<_> = (0..40).map(|i| (Vec3::X, (i * 7) % 40)).collect();

@@ -22,6 +22,14 @@ pub(super) struct Room {
 const LOOKS: u32 = 32;
 
 impl Room {
+    /// This much less room.
+    pub(super) fn times(self, looseness: f32) -> Self {
+        Self {
+            crowded: self.crowded * looseness,
+            bent: self.bent * looseness,
+        }
+    }
+
     /// True if there is something near `cell`, or a fold in it, for its size: what `seed` sees, one of its receivers, is not
     /// what all of them see.
     pub(super) fn is_crowded(
@@ -66,4 +74,28 @@ fn look(tracer: &Tracer, receivers: &Receivers, i: usize) -> f32 {
         hit.map_or(0.0, |hit| 1.0 / hit.distance.max(f32::MIN_POSITIVE))
     };
     LOOKS as f32 / (0..LOOKS).map(nearness).sum::<f32>()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ceiling_leaves_one_and_a_half_times_its_height_and_the_sky_leaves_all() {
+        let mut hemisphere = Hemisphere::default();
+        for k in 0..1024 {
+            let direction = sequence::cosine_hemisphere(sequence::fibonacci(k, 1024));
+            hemisphere.weight.push(std::f32::consts::PI / 1024.0);
+            hemisphere.distance.push(3.0 / direction.z);
+        }
+        // The mean of cos θ / 3, weighted by the cosine, is 2 / 9.
+        assert!((of(&hemisphere) - 4.5).abs() < 0.01, "{}", of(&hemisphere));
+        hemisphere.distance.fill(f32::INFINITY);
+        assert_eq!(of(&hemisphere), f32::INFINITY);
+        let close = Room {
+            crowded: 0.1,
+            bent: 0.2,
+        };
+        assert_eq!(close.times(2.0).crowded, 0.2);
+    }
 }

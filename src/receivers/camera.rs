@@ -353,24 +353,13 @@ impl<'a> View<'a> {
         let (mut rays, mut sights) = (Vec::new(), Sights::default());
         let (mut clusters, mut face) = (Clusters::default(), None);
         for x in 0..width {
-            clusters.clear();
             self.look_through((x, y), &mut rays, &mut sights);
             (self.cast)(&mut sights);
             if let Some(seen) = self.of_one_face(&rays, &sights.layers, &mut face) {
                 row.push((y * width + x, 1.0, seen));
                 continue;
             }
-            for (ray, layers) in rays.iter().zip(&sights.layers) {
-                let mut open = 1.0;
-                for layer in layers {
-                    let part = open * layer.opacity;
-                    open -= part;
-                    if part >= LEAST_PART {
-                        let face = self.face(&mut face, &layer.hit);
-                        self.add(&mut clusters, self.seen(ray, (&layer.hit, face), part));
-                    }
-                }
-            }
+            self.cluster(&rays, &sights.layers, &mut face, &mut clusters);
             for cluster in clusters.all() {
                 let samples = rays.len() as f32;
                 let share = cluster.iter().map(|seen| seen.part).sum::<f32>() / samples;
@@ -379,6 +368,28 @@ impl<'a> View<'a> {
             }
         }
         row
+    }
+
+    /// Sort what the samples of a pixel meet by surface.
+    fn cluster(
+        &self,
+        rays: &[WorldRay],
+        layers: &[Vec<Layer>],
+        last: &mut Option<Face<'a>>,
+        clusters: &mut Clusters,
+    ) {
+        clusters.clear();
+        for (ray, layers) in rays.iter().zip(layers) {
+            let mut open = 1.0;
+            for layer in layers {
+                let part = open * layer.opacity;
+                open -= part;
+                if part >= LEAST_PART {
+                    let face = self.face(last, &layer.hit);
+                    self.add(clusters, self.seen(ray, (&layer.hit, face), part));
+                }
+            }
+        }
     }
 
     /// The ray through image point `(x, y)`, in pixels.
@@ -390,7 +401,11 @@ impl<'a> View<'a> {
         let ray = self.lens.ray(x, y);
         let direction = self.world_from_camera.transform_vector3(ray.direction);
         // Scaled cameras measure distances in world units too: USD's cameras should not be scaled, some are.
-        let scale = if self.is_rigid { 1.0 } else { direction.length() };
+        let scale = if self.is_rigid {
+            1.0
+        } else {
+            direction.length()
+        };
         let origin = self.world_from_camera.transform_point3(ray.origin);
         WorldRay {
             ray: CameraRay {

@@ -17,9 +17,7 @@ impl<'a> View<'a> {
             return None;
         };
         let key = key_of(&first.hit);
-        let is_only_this = |layers: &Vec<Layer>| {
-            matches!(layers[..], [Layer { hit, opacity: 1.0 }] if key_of(&hit) == key)
-        };
+        let is_only_this = |layers: &Vec<Layer>| matches!(layers[..], [Layer { hit, opacity: 1.0 }] if key_of(&hit) == key);
         if !layers.iter().all(is_only_this) {
             return None;
         }
@@ -30,9 +28,12 @@ impl<'a> View<'a> {
         let (u, v) = hits().fold((0.0, 0.0), |sum, hit| (sum.0 + hit.u, sum.1 + hit.v));
         let (u, v) = (u / count, v / count);
         let off_mean = |hit: &Hit| (across * (hit.u - u) + along * (hit.v - v)).length_squared();
-        let (nearest, hit) = (hits().enumerate())
-            .min_by(|a, b| off_mean(&a.1).total_cmp(&off_mean(&b.1)))?;
-        let depths = rays.iter().zip(hits()).map(|(ray, hit)| self.depth(ray, &hit));
+        let (nearest, hit) =
+            (hits().enumerate()).min_by(|a, b| off_mean(&a.1).total_cmp(&off_mean(&b.1)))?;
+        let depths = rays
+            .iter()
+            .zip(hits())
+            .map(|(ray, hit)| self.depth(ray, &hit));
         let mut merged = self.seen(&rays[nearest], (&hit, face), 1.0);
         let mean = Hit { u, v, ..hit };
         merged.normal = on_the_side_of(face.normal, face.shading_normal(&mean));

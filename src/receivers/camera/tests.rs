@@ -57,13 +57,15 @@ fn cast(scene: &Scene, origin: Vec3, direction: Vec3, length: f32) -> Option<Hit
     best
 }
 
+fn cast_all(scene: &Scene, sights: &mut Sights) {
+    for (ray, found) in sights.rays.iter().zip(&mut sights.layers) {
+        let hit = cast(scene, ray.origin, ray.direction, ray.length);
+        found.extend(hit.map(|hit| Layer { hit, opacity: 1.0 }));
+    }
+}
+
 fn look(scene: &Scene, camera: &Camera, frame: Frame, samples: u32) -> Receivers {
-    let cast = |sights: &mut Sights| {
-        for (ray, found) in sights.rays.iter().zip(&mut sights.layers) {
-            let hit = cast(scene, ray.origin, ray.direction, ray.length);
-            found.extend(hit.map(|hit| Layer { hit, opacity: 1.0 }));
-        }
-    };
+    let cast = |sights: &mut Sights| cast_all(scene, sights);
     place_with(scene, &cast, (camera, frame), &Sampling::uniform(samples))
 }
 
@@ -276,4 +278,71 @@ fn the_automatic_camera_sees_every_corner_and_fills_the_frame() {
             .world_from_camera
             .is_finite()
     );
+}
+
+/// Pixels of one face of `normals`, and of more: those of one are what a cluster of all their samples is.
+fn pixels_of_one_face(normals: Normals) -> usize {
+    let mesh = Mesh {
+        normals,
+        ..quad(
+            Vec3::new(-1.5, -0.8, -1.0),
+            Vec3::new(3.0, 0.0, 1.0),
+            Vec3::new(0.2, 1.7, 0.0),
+        )
+    };
+    let scene = scene_of(vec![(mesh, Affine3A::from_scale(Vec3::new(1.0, 1.0, 2.0)))]);
+    let sampling = Sampling::uniform(4);
+    let cast = |sights: &mut Sights| cast_all(&scene, sights);
+    let camera = simple_camera();
+    let view = View::new(&scene, &cast, (&camera, Frame::new(16, 8)), &sampling);
+    let (mut rays, mut sights) = (Vec::new(), Sights::default());
+    let (mut clusters, mut face) = (Clusters::default(), None);
+    let mut count = 0;
+    for pixel in 0..16 * 8 {
+        view.look_through((pixel % 16, pixel / 16), &mut rays, &mut sights);
+        cast_all(&scene, &mut sights);
+        let Some(seen) = view.of_one_face(&rays, &sights.layers, &mut face) else {
+            continue;
+        };
+        view.cluster(&rays, &sights.layers, &mut face, &mut clusters);
+        let [cluster] = clusters.all() else {
+            panic!("{} surfaces", clusters.count);
+        };
+        let all = view.merge(cluster, 1.0);
+        assert!(seen.position.distance(all.position) < 1e-5);
+        assert!(
+            seen.normal.distance(all.normal) < 1e-4,
+            "{} {}",
+            seen.normal,
+            all.normal
+        );
+        assert!((seen.depth - all.depth).abs() < 1e-5);
+        assert_eq!(
+            (seen.geometric_normal, seen.front),
+            (all.geometric_normal, all.front)
+        );
+        assert_eq!(seen.surface.triangle, all.surface.triangle);
+        let size = seen.surface.footprint / all.surface.footprint;
+        assert!((size - 1.0).abs() < 0.1 && seen.toward_eye.distance(all.toward_eye) < 0.1);
+        count += 1;
+    }
+    count
+}
+
+#[test]
+fn the_receiver_of_one_face_is_that_of_all_its_samples() {
+    let flat = pixels_of_one_face(Normals::Flat);
+    assert!((30..90).contains(&flat), "{flat}");
+    let around = |bend: f32| {
+        let corner = |x: f32, y: f32| Vec3::new(bend * x, bend * y, 1.0).normalize();
+        Normals::Vertex(vec![
+            corner(-1.0, -1.0),
+            corner(1.0, -1.0),
+            corner(1.0, 1.0),
+            corner(-1.0, 1.0),
+        ])
+    };
+    assert_eq!(pixels_of_one_face(around(0.03)), flat);
+    // Normals so far apart may be those of two surfaces.
+    assert_eq!(pixels_of_one_face(around(0.5)), 0);
 }
