@@ -12,7 +12,7 @@ use crate::receivers::camera::{CameraRay, Sights};
 use crate::receivers::lens::Lens;
 use crate::receivers::sampling::Sampling;
 use crate::receivers::{Receivers, camera};
-use crate::results::{Aov, AovImage, resolve};
+use crate::results::{Aov, AovImage, Target, resolve};
 use crate::stage::Source;
 use crate::trace::Hit;
 use crate::writers::image::{ExrInfo, ExrLayout, write_exr, write_png};
@@ -113,7 +113,7 @@ fn render(
         let _phase = diagnostics.phase("write", "file", 0);
         let mut images = resolve(&results, &receivers.target);
         if !job.hide_lights {
-            let seen = (view, &sampling);
+            let seen = (view, &sampling, &receivers.target);
             add_lights(&mut images, (world, None), seen);
             for group in world.groups {
                 let shader = world.shader.of_group(group);
@@ -159,7 +159,11 @@ fn without_reflections(
     let results = gather::gather(world, &receivers, &asked.aovs, &asked, run)?;
     let mut images = resolve(&results, &receivers.target);
     if !job.hide_lights {
-        add_lights(&mut images, (world, None), (view, &sampling));
+        add_lights(
+            &mut images,
+            (world, None),
+            (view, &sampling, &receivers.target),
+        );
     }
     Ok(images.into_iter().next())
 }
@@ -297,7 +301,7 @@ fn glow(
 fn add_lights(
     images: &mut [AovImage],
     (world, part): (&World<'_>, Option<Part<'_>>),
-    (view, sampling): (&View, &Sampling),
+    (view, sampling, target): (&View, &Sampling, &Target),
 ) {
     let name = part.map(|(name, _)| name);
     let shown = |image: &&mut AovImage| {
@@ -307,7 +311,13 @@ fn add_lights(
         let sky = image.aov == Aov::Color;
         let glow = |ray: &CameraRay, solid| glow((world, part), sky, (ray, solid));
         let seen = (&view.camera, view.frame);
-        let backdrop = camera::backdrop(world.scene(), &world.tracer, &glow, seen, sampling);
+        let backdrop = camera::backdrop(
+            world.scene(),
+            &world.tracer,
+            &glow,
+            seen,
+            (sampling, target),
+        );
         for (pixel, light) in image
             .data
             .chunks_exact_mut(image.aov.components())

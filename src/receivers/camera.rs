@@ -5,6 +5,7 @@
 //! pixels are smooth, and separately on both sides of an edge. Where a surface lets light through, a sample is shared between
 //! it and what is behind.
 
+mod backdrop;
 mod one_face;
 
 use super::Receivers;
@@ -16,9 +17,11 @@ use crate::scene::camera::Projection;
 use crate::scene::{Camera, MaterialId, Normals, PlacedMesh, PrimId, Scene, on_the_side_of};
 use crate::shading::SurfacePoint;
 use crate::trace::{Beam, Hit, Layer, Tracer};
-use glam::{DAffine3, DMat3, DVec3, Vec3, Vec4};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::cell::OnceCell;
+
+pub use backdrop::{Glow, backdrop};
 
 /// Cosine of the angle (15°) beyond which normals in one pixel are different surfaces.
 const SAME_NORMAL_COSINE: f32 = 0.966;
@@ -152,36 +155,6 @@ pub fn place_with(
         shares,
     };
     receivers
-}
-
-/// Color and coverage along a ray, before the first surface that nothing passes through.
-pub type Glow<'a> = &'a (dyn Fn(&CameraRay, Option<Hit>) -> Vec4 + Sync);
-
-/// What `camera` sees besides surfaces, a pixel each, rows from the top: the mean of `glow` over the samples of
-/// [`place_with`].
-pub fn backdrop(
-    scene: &Scene,
-    tracer: &Tracer,
-    glow: Glow<'_>,
-    (camera, frame): (&Camera, Frame),
-    sampling: &Sampling,
-) -> Vec<Vec4> {
-    let view = View::new(scene, &|_| (), (camera, frame), sampling);
-    let mean = |x: u32, y: u32, sights: &mut Sights| {
-        view.look_through((x, y), &mut Vec::new(), sights);
-        sights.look(tracer);
-        let seen = sights.rays.iter().enumerate();
-        let sum: Vec4 = seen.map(|(i, ray)| glow(ray, sights.beam.hit(i))).sum();
-        sum / sights.rays.len() as f32
-    };
-    let row = |y: u32| {
-        let mut sights = Sights::default();
-        (0..frame.width)
-            .map(|x| mean(x, y, &mut sights))
-            .collect::<Vec<Vec4>>()
-    };
-    let rows: Vec<_> = (0..frame.height).into_par_iter().map(row).collect();
-    rows.concat()
 }
 
 /// [`Sampling`] of `camera`'s image, finer where the shape of a light ends: rays meet it there (`is_lit`) and not beside it.
