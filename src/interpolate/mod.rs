@@ -260,10 +260,7 @@ impl Work<'_> {
     /// Gather at all receivers of the cells of `field` that have this `fault`.
     fn settle(&self, field: &mut Field, fault: &Fault) -> Result<(), Cancelled> {
         let faulty = field.take_faulty(fault, &|i| self.gathering.kind(i as usize));
-        let mut is_seed = vec![false; self.gathering.receivers.len()];
-        for &i in &field.seeds.receiver {
-            is_seed[i as usize] = true;
-        }
+        let is_seed = field.seeds.marks(self.gathering.receivers.len());
         let rest: Vec<u32> = (faulty.iter())
             .flat_map(|cell| &field.cells.order[cell.run.clone()])
             .copied()

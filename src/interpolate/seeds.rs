@@ -51,6 +51,13 @@ impl Seeds {
         self.receiver.len()
     }
 
+    /// True for each of so many receivers that is a seed.
+    pub(super) fn marks(&self, receivers: usize) -> Vec<bool> {
+        let mut is_seed = vec![false; receivers];
+        (self.receiver.iter()).for_each(|&i| is_seed[i as usize] = true);
+        is_seed
+    }
+
     /// All seeds.
     pub(super) fn all(&self) -> Range<u32> {
         0..u32::try_from(self.len()).expect("receivers are counted by u32")

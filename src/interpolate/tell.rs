@@ -37,9 +37,8 @@ impl Told {
         for (&i, value) in seeds.receiver.iter().zip(seeds.values.chunks_exact(n)) {
             self.values[i as usize * n..][..n].copy_from_slice(value);
         }
-        let mut is_gathered = vec![false; self.values.len() / n];
-        (seeds.receiver.iter()).for_each(|&i| is_gathered[i as usize] = true);
-        self.blended.retain(|&i| !is_gathered[i as usize]);
+        let is_seed = seeds.marks(self.values.len() / n);
+        self.blended.retain(|&i| !is_seed[i as usize]);
     }
 }
 
