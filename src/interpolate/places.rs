@@ -169,9 +169,10 @@ mod tests {
 
     #[test]
     fn equally_far_points_come_by_number() {
-        let place =
-            |i: u32| Vec3::new(f32::from((i % 10) as u8), f32::from((i / 10) as u8), 0.0) / 5.0;
-        let points: Vec<_> = (0..100).map(|i| (place(99 - i) - Vec3::ONE, i)).collect();
+        let place = |i: u16| Vec3::new(f32::from(i % 10), f32::from(i / 10), 0.0) / 5.0;
+        let points: Vec<_> = (0..100_u16)
+            .map(|i| (place(99 - i) - Vec3::ONE, u32::from(i)))
+            .collect();
         assert_finds(&points, |_| true);
         let one: Vec<_> = (0..40).map(|i| (Vec3::X, (i * 7) % 40)).collect();
         assert_finds(&one, |i| i != 5);
