@@ -8,7 +8,7 @@ use super::pattern;
 use super::sampled::SampledEmitters;
 use super::stand::Stand;
 use crate::math::Frame;
-use crate::scene::{Input, LightKind, ParticleSet, PrimId, Scene};
+use crate::scene::{Input, ParticleSet, PrimId, Scene};
 use crate::shading::{Shader, SurfacePoint};
 use glam::{DVec3, Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
@@ -75,9 +75,12 @@ impl EmitterPatterns {
 }
 
 impl Emitters {
-    /// Find the emissive triangles; cost linear in the triangles of emissive materials.
-    pub(super) fn new(shader: &Shader<'_>) -> Self {
-        let triangles = emissive_triangles(shader);
+    /// Of `triangles` and `particles`, sets and factors on their radiance; linear in both.
+    pub(super) fn new(
+        shader: &Shader<'_>,
+        triangles: Vec<EmissiveTriangle>,
+        particles: &[(&ParticleSet, Vec3)],
+    ) -> Self {
         let (panels, rest) = if triangles.len() > MOST_JOINED {
             (Vec::new(), triangles)
         } else {
@@ -85,12 +88,7 @@ impl Emitters {
         };
         let (mut constant, textured): (Vec<_>, Vec<_>) =
             rest.into_iter().partition(|triangle| triangle.is_constant);
-        let particles = || {
-            shader.lights().filter_map(|light| match &light.kind {
-                LightKind::Particles(set) => Some((&**set, light.radiance)),
-                _ => None,
-            })
-        };
+        let particles = || particles.iter().copied();
         constant.extend(particles().flat_map(|(set, factor)| glowing_disks(set, factor)));
         let spheres = particles().filter(|(set, _)| set.normal.is_empty());
         Self {
@@ -245,7 +243,7 @@ fn glowing_disks(set: &ParticleSet, factor: Vec3) -> impl Iterator<Item = Emissi
 }
 
 /// All triangles that emit, in order of prims and triangles.
-fn emissive_triangles(shader: &Shader<'_>) -> Vec<EmissiveTriangle> {
+pub(super) fn emissive_triangles(shader: &Shader<'_>) -> Vec<EmissiveTriangle> {
     let scene = shader.scene();
     let mut all = Vec::new();
     for (prim, index) in scene.prims.iter().zip(0..) {

@@ -9,6 +9,7 @@ mod form_factor;
 mod lights;
 mod linked;
 mod linked_domes;
+mod linked_emitters;
 mod panels;
 mod particles;
 mod pattern;
@@ -25,12 +26,13 @@ use crate::diagnostics::Diagnostics;
 use crate::scene::{PlacedMesh, PrimId, Scene, on_the_side_of};
 use crate::shading::{Shader, SurfacePoint};
 use crate::trace::{Hit, Tracer};
-use emitters::{EmitterPatterns, Emitters};
+use emitters::EmitterPatterns;
 use environment::Environment;
 use glam::Vec3;
 use lights::{AreaLight, Patterns};
 use linked::LinkedLights;
 use linked_domes::{Fineness, is_linked};
+use linked_emitters::LinkedEmitters;
 use stand::Stand;
 use std::sync::Arc;
 
@@ -203,7 +205,7 @@ pub struct Lighting {
     /// Domes without links.
     environment: Environment,
     linked_domes: Arc<LinkedDomes>,
-    emitters: Emitters,
+    emitters: LinkedEmitters,
     /// For receivers.
     fine: Detail,
     /// For surfels.
@@ -242,7 +244,7 @@ impl Lighting {
         Self {
             linked_domes: Arc::new(linked),
             lights: LinkedLights::new(surfaces(), shader.lights(), diagnostics),
-            emitters: Emitters::new(shader),
+            emitters: LinkedEmitters::new(shader),
             fine: Detail::new(samples, fine_sky),
             coarse: Detail::new(coarse, coarse_sky),
             environment,

@@ -167,7 +167,7 @@ pub(super) fn gather_on(
 ) -> Result<Results, Error> {
     let (world, receivers) = (stand.world(), stand.receivers);
     report.counts.receivers = report.counts.receivers.max(receivers.len());
-    report.counts.gathered = report.counts.receivers;
+    let gathered_before = std::mem::replace(&mut report.counts.gathered, receivers.len());
     report.counts.surfels = report.counts.surfels.max(stand.light().len());
     let found = choice::choose(stand, report, diagnostics)?;
     let lighting = found.choice.lighting(world, diagnostics);
@@ -197,6 +197,7 @@ pub(super) fn gather_on(
         Chosen::Maps(knobs) => see_maps(stand, scene, (&knobs, &found), run)?,
     };
     report.counts.nodes = report.counts.nodes.max(stand.node_count());
+    report.counts.gathered = report.counts.gathered.max(gathered_before);
     Ok(results)
 }
 

@@ -46,7 +46,7 @@ pub struct Counts {
     pub nodes: usize,
     /// Receivers.
     pub receivers: usize,
-    /// Receivers that were gathered at (not interpolated).
+    /// Receivers that were gathered at (not interpolated), of the gather that did so at most.
     pub gathered: usize,
 }
 

@@ -25,6 +25,15 @@ impl Linked {
     }
 }
 
+/// The prims that a light lights, and those that block it.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct LightLinks {
+    /// Its `lightLink` collection.
+    pub lit: Linked,
+    /// Its `shadowLink` collection.
+    pub blockers: Linked,
+}
+
 /// `ShapingAPI`: a cone about the light's −Z axis, and a focus falloff.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shaping {

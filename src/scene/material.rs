@@ -1,5 +1,6 @@
 //! Surface materials, reduced to what point-based light needs (UsdPreviewSurface).
 
+use super::LightLinks;
 use glam::{Affine2, Vec2, Vec4};
 use std::path::PathBuf;
 
@@ -135,6 +136,8 @@ pub struct Material {
     pub displacement: Input,
     /// Texture of normals in tangent space. Surfaces are shaded without it: it is there for other formats.
     pub normal: Option<Box<TextureRead>>,
+    /// Whom its emission lights directly, and what blocks that: all, but for meshes that are lights.
+    pub emission_links: LightLinks,
 }
 
 impl Default for Material {
@@ -154,6 +157,7 @@ impl Default for Material {
             clearcoat_roughness: Input::scalar(0.01),
             displacement: Input::scalar(0.0),
             normal: None,
+            emission_links: LightLinks::default(),
         }
     }
 }

@@ -14,7 +14,7 @@ pub mod prim;
 pub mod render_product;
 
 pub use camera::Camera;
-pub use light::{Light, LightKind, Linked, ParticleSet, Shaping};
+pub use light::{Light, LightKind, LightLinks, Linked, ParticleSet, Shaping};
 pub use light_group::{GroupRule, LightGroup};
 pub use material::{ColorSpace, Input, Material, MaterialId, TextureRead, Wrap};
 pub use mesh::{Cage, Interpolation, Mesh, MeshId, Normals, Primvar};

@@ -7,7 +7,7 @@ mod screens;
 mod textures;
 
 use crate::diagnostics::Diagnostics;
-use crate::scene::{Light, LightGroup, MaterialId, Prim, PrimId, Scene};
+use crate::scene::{Light, LightGroup, LightLinks, MaterialId, Prim, PrimId, Scene};
 use crate::trace::{Hit, Opacity};
 use glam::Vec3;
 use gloss::{Gloss, Lobe};
@@ -195,6 +195,14 @@ impl<'a> Shader<'a> {
         let prim = &self.scene.prims[prim.index()];
         self.material_at(prim, triangle)
             .is_some_and(Compiled::may_emit)
+    }
+
+    /// Whom the emission of triangle `triangle` of `prim` lights; `None` without a material.
+    pub fn emission_links(&self, prim: PrimId, triangle: u32) -> Option<&'a LightLinks> {
+        let prim = &self.scene.prims[prim.index()];
+        let face = self.scene.mesh_of(prim).triangle_faces[triangle as usize];
+        let material = prim.materials.of_face(face)?;
+        Some(&self.scene.materials[material.index()].emission_links)
     }
 
     fn material_at(&self, prim: &Prim, triangle: u32) -> Option<&Compiled<'a>> {

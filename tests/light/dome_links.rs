@@ -9,7 +9,7 @@ use std::f32::consts::PI;
 const ENGINES: [&[&str]; 2] = [&["--gather", "rays"], &["--gather", "maps"]];
 
 /// A square like the floor's, at height `y`, with its points in the same order.
-fn square(name: &str, x: f32, y: f32) -> String {
+pub(crate) fn square(name: &str, x: f32, y: f32) -> String {
     let corner = |sx: f32, sz: f32| format!("({}, {y}, {sz})", x + sx);
     let corners =
         [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)].map(|(sx, sz)| corner(sx, sz));
@@ -28,12 +28,12 @@ fn dome(name: &str, radiance: f32, links: &str) -> String {
 }
 
 /// Radius 0.5, 2 above the floor.
-const BALL: &str = "def Sphere \"ball\" { double radius = 0.5
+pub(crate) const BALL: &str = "def Sphere \"ball\" { double radius = 0.5
 double3 xformOp:translate = (0, 2, 0)
 uniform token[] xformOpOrder = [\"xformOp:translate\"] }";
 
 /// Values of `aov` at the points of each of `meshes`.
-fn lit(more: &str, meshes: &[&str], aov: &str, flags: &[&str]) -> Vec<Vec<Vec3>> {
+pub(crate) fn lit(more: &str, meshes: &[&str], aov: &str, flags: &[&str]) -> Vec<Vec<Vec3>> {
     let (folder, path) = stage(&floor(1.0, 0.5, more));
     let layer = bake(folder.path(), &path, aov, flags);
     meshes
@@ -43,7 +43,7 @@ fn lit(more: &str, meshes: &[&str], aov: &str, flags: &[&str]) -> Vec<Vec<Vec3>>
 }
 
 #[track_caller]
-fn assert_all(found: &[Vec3], exact: f32, tolerance: f32) {
+pub(crate) fn assert_all(found: &[Vec3], exact: f32, tolerance: f32) {
     for value in found {
         let off = (*value - exact).abs().max_element();
         assert!(off <= tolerance * exact, "{value} should be {exact}");

@@ -11,6 +11,7 @@ mod displacement;
 mod dome_links;
 mod gloss;
 mod light_groups;
+mod mesh_links;
 mod odd_lights;
 mod opacity;
 mod particles;

@@ -8,7 +8,7 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 use surflux::scene::camera::Projection;
 use surflux::scene::{
-    Camera, FaceMaterials, Input, Light, LightKind, PrimId, PrimSource, RenderProduct,
+    Camera, FaceMaterials, Input, Light, LightKind, Linked, PrimId, PrimSource, RenderProduct,
 };
 
 /// Paths of gprims that the collection `link` of a light does not hold.
@@ -26,17 +26,12 @@ impl Comparison<'_> {
             self.tally.prims += 1;
             if !theirs["mesh"].is_null() {
                 self.mesh_light(path, theirs);
-                for link in ["lightLink", "shadowLink"] {
-                    if !unlinked(theirs, link).is_empty() {
-                        self.one(path, link, false);
-                    }
-                }
                 continue;
             }
             let found = scene.lights.iter().find(|light| light.path == path);
             self.one(path, text(&theirs["type"]), found.is_some());
             let Some(light) = found else { continue };
-            self.links(light, theirs);
+            self.links(path, [&light.lit, &light.blockers], theirs);
             if theirs["old"].as_bool() == Some(true) {
                 self.tally.unjudged += 1;
                 continue;
@@ -59,6 +54,8 @@ impl Comparison<'_> {
             return self.one(path, "mesh light", false);
         };
         let material = &self.scene.materials[material.index()];
+        let links = &material.emission_links;
+        self.links(path, [&links.lit, &links.blockers], theirs);
         let Input::Constant(emission) = &material.emissive_color else {
             return self.one(path, "emission", false);
         };
@@ -70,14 +67,14 @@ impl Comparison<'_> {
     }
 
     /// Prims that the light lights, and that block it; points of instancers are not told apart by usd-core.
-    fn links(&mut self, light: &Light, theirs: &Value) {
+    fn links(&mut self, path: &str, [lit, blockers]: [&Linked; 2], theirs: &Value) {
         let scene = self.scene;
-        for (link, linked) in [("lightLink", &light.lit), ("shadowLink", &light.blockers)] {
+        for (link, linked) in [("lightLink", lit), ("shadowLink", blockers)] {
             let unlinked = unlinked(theirs, link);
             for (id, prim) in (0..).map(PrimId).zip(&scene.prims) {
                 if !matches!(prim.source, PrimSource::PointInstance { .. }) {
                     let expected = !unlinked.contains(&*prim.path);
-                    self.one(&light.path, link, linked.contains(id) == expected);
+                    self.one(path, link, linked.contains(id) == expected);
                 }
             }
         }

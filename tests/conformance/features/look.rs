@@ -162,19 +162,18 @@ fn lights_are_linked_to_the_prims_their_collections_hold() {
 }
 
 #[test]
-fn links_of_mesh_lights_are_named() {
+fn mesh_lights_are_linked_to_the_prims_their_collections_hold() {
+    let others = format!("{}{}", mesh("m", 1.0), mesh("n", 2.0));
     for link in ["lightLink", "shadowLink"] {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("root.usda");
-        let body = format!("rel collection:{link}:excludes = </glow>");
-        fs::write(&path, format!("#usda 1.0\n{}", mesh_light(&body))).expect("written");
-        for door in [Door::UsdCore, Door::Native] {
-            let (_, warnings) = scene_of(&path, door, &Reading::default()).expect("it is read");
-            assert_eq!(warnings.len(), 1, "{warnings:#?}");
-            assert_eq!(
-                (&*warnings[0].kind, &*warnings[0].prim),
-                ("unsupported-light", "/x/m")
-            );
+        let excludes = |paths: &str| format!("rel collection:{link}:excludes = {paths}");
+        let only = format!("uniform bool collection:{link}:includeRoot = 0\n");
+        for body in [
+            excludes("</m>"),
+            excludes("[</n>, </x>]"),
+            format!("{only}rel collection:{link}:includes = </n>"),
+            only.clone(),
+        ] {
+            equal(&format!("{others}{}", mesh_light(&body)), None, 4);
         }
     }
 }

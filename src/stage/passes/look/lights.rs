@@ -1,10 +1,10 @@
 //! UsdLux prims → [`Light`]s, with the schemas' fallbacks and their older names without `inputs:`.
 //!
-//! What point-based light cannot honour (IES profiles, filters, links of meshes, portals, geometry lights) is left out
+//! What point-based light cannot honour (IES profiles, filters, portals, geometry lights) is left out
 //! with a warning that says what follows.
 
 use super::blackbody;
-use super::links::{Links, is_limited};
+use super::links::Links;
 use super::mesh_lights::{MaterialSync, MeshLight};
 use super::paths::Paths;
 use super::values::{Values, color, narrow, number};
@@ -79,9 +79,8 @@ pub(super) fn read_meshes(
                 );
                 return None;
             }
-            let light = reader.mesh_light()?;
-            reader.warn_of_links(paths, index);
-            Some(light)
+            let links = Links::read(paths, index, diagnostics);
+            reader.mesh_light(links)
         })
         .collect()
 }
@@ -177,12 +176,13 @@ impl Reader<'_> {
         self.prim.type_name == "Mesh" && self.has_api("MeshLightAPI")
     }
 
-    fn mesh_light(&self) -> Option<MeshLight> {
+    fn mesh_light(&self, links: Links) -> Option<MeshLight> {
         let light = MeshLight {
             path: self.path.to_owned(),
             radiance: self.radiance(1.0),
             normalize: self.flag("normalize").unwrap_or(false),
             sync: MaterialSync::read(self.prim, self.path, self.diagnostics),
+            links,
         };
         if !light.radiance.is_finite() {
             self.diagnostics.warn(
@@ -327,20 +327,6 @@ impl Reader<'_> {
             world.matrix3.z_axis.as_vec3a(),
             world.translation.as_vec3a(),
         )
-    }
-
-    /// For the kinds of light that links are not applied to.
-    fn warn_of_links(&self, paths: &Paths<'_>, index: usize) {
-        for (collection, what) in [
-            ("lightLink", "everything is lit by it"),
-            ("shadowLink", "everything blocks it"),
-        ] {
-            if is_limited(paths, index, collection) {
-                self.warn(&format!(
-                    "its {collection} collection is not applied: {what}"
-                ));
-            }
-        }
     }
 
     fn warn_of_the_rest(&self) {

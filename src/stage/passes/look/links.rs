@@ -7,7 +7,7 @@ use super::collections::{self, Membership};
 use super::paths::Paths;
 use super::values::Values;
 use crate::diagnostics::Diagnostics;
-use crate::scene::{Linked, Prim, PrimSource, Scene};
+use crate::scene::{LightLinks, Linked, Prim, PrimSource, Scene};
 use std::sync::Arc;
 
 /// The collections of one light; `None` holds everything.
@@ -36,7 +36,7 @@ impl Links {
 }
 
 /// True if the collection `name` of an occurrence may hold less than everything.
-pub(super) fn is_limited(paths: &Paths<'_>, index: usize, name: &str) -> bool {
+fn is_limited(paths: &Paths<'_>, index: usize, name: &str) -> bool {
     let prim = paths.prim_of(index);
     let part = |part: &str| format!("collection:{name}:{part}");
     let has_targets = |name: &str| {
@@ -71,6 +71,18 @@ pub(in super::super) fn apply(scene: &mut Scene, links: &[Links]) {
                 }
             };
         }
+    }
+}
+
+/// What `links` say of `prims`.
+pub(super) fn among(links: &Links, prims: &[Prim]) -> LightLinks {
+    let linked = |membership: &Option<Membership>| match membership {
+        Some(membership) => linked_by(membership, prims),
+        None => Linked::All,
+    };
+    LightLinks {
+        lit: linked(&links.lit),
+        blockers: linked(&links.blockers),
     }
 }
 

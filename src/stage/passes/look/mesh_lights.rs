@@ -6,10 +6,11 @@
 //! scene, where UsdLux would show it the material's own emission.
 
 use super::super::super::raw::RawPrim;
+use super::links::{self, Links};
 use super::reduce::multiplied;
 use super::values::Values;
 use crate::diagnostics::Diagnostics;
-use crate::scene::{FaceMaterials, Input, Material, MaterialId, PlacedMesh, Scene};
+use crate::scene::{FaceMaterials, Input, LightLinks, Material, MaterialId, PlacedMesh, Scene};
 use glam::{Vec3, Vec4};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -32,6 +33,7 @@ pub struct MeshLight {
     /// Divide by the world-space area.
     pub(super) normalize: bool,
     pub(super) sync: MaterialSync,
+    pub(super) links: Links,
 }
 
 impl MaterialSync {
@@ -58,15 +60,18 @@ pub(in super::super) fn shine(scene: &mut Scene, lights: &[MeshLight], diagnosti
     if lights.is_empty() {
         return;
     }
-    let by_path: HashMap<&str, &MeshLight> = lights
-        .iter()
-        .map(|light| (light.path.as_str(), light))
+    let by_path: HashMap<&str, usize> = (lights.iter().zip(0..))
+        .map(|(light, number)| (light.path.as_str(), number))
+        .collect();
+    let links: Vec<LightLinks> = (lights.iter())
+        .map(|light| links::among(&light.links, &scene.prims))
         .collect();
     let mut made = Made::default();
     for index in 0..scene.prims.len() {
-        let Some(light) = by_path.get(&*scene.prims[index].path) else {
+        let Some(&number) = by_path.get(&*scene.prims[index].path) else {
             continue;
         };
+        let light = &lights[number];
         let radiance = match light.normalize {
             true => light.radiance / area(scene, index),
             false => light.radiance,
@@ -77,7 +82,8 @@ pub(in super::super) fn shine(scene: &mut Scene, lights: &[MeshLight], diagnosti
             continue;
         }
         let mut lit = |material: Option<MaterialId>| {
-            Some(made.material(&mut scene.materials, material, (radiance, light.sync)))
+            let shine = (radiance, light.sync, (number, &links[number]));
+            Some(made.material(&mut scene.materials, material, shine))
         };
         let materials = match &scene.prims[index].materials {
             FaceMaterials::Whole(material) => FaceMaterials::Whole(lit(*material)),
@@ -125,20 +131,26 @@ fn area(scene: &Scene, index: usize) -> f32 {
 
 /// Materials made so far, by what they are made of: prims with the same have the same.
 #[derive(Default)]
-struct Made(HashMap<(Option<MaterialId>, [u32; 3], MaterialSync), MaterialId>);
+struct Made(HashMap<Key, MaterialId>);
+
+/// Bound material, radiance, mode, and the number of the light if it has links.
+type Key = (Option<MaterialId>, [u32; 3], MaterialSync, Option<usize>);
 
 impl Made {
     fn material(
         &mut self,
         materials: &mut Vec<Material>,
         bound: Option<MaterialId>,
-        (radiance, sync): (Vec3, MaterialSync),
+        (radiance, sync, (number, links)): (Vec3, MaterialSync, (usize, &LightLinks)),
     ) -> MaterialId {
-        let key = (bound, radiance.to_array().map(f32::to_bits), sync);
+        let linked = (*links != LightLinks::default()).then_some(number);
+        let key = (bound, radiance.to_array().map(f32::to_bits), sync, linked);
         *self.0.entry(key).or_insert_with(|| {
             let bound = bound.map(|id| &materials[id.index()]);
-            let material = shining(bound, radiance, sync);
-            materials.push(material);
+            materials.push(Material {
+                emission_links: links.clone(),
+                ..shining(bound, radiance, sync)
+            });
             let id = u32::try_from(materials.len() - 1);
             MaterialId(id.expect("fewer materials than prims, and those fit in memory"))
         })
@@ -237,7 +249,12 @@ mod tests {
     fn equal_lights_on_equal_materials_share_one() {
         let (mut made, mut materials) = (Made::default(), vec![glowing()]);
         let mut of = |bound, radiance| {
-            made.material(&mut materials, bound, (radiance, MaterialSync::Independent))
+            let shine = (
+                radiance,
+                MaterialSync::Independent,
+                (0, &LightLinks::default()),
+            );
+            made.material(&mut materials, bound, shine)
         };
         let first = of(Some(MaterialId(0)), RADIANCE);
         assert_eq!(of(Some(MaterialId(0)), RADIANCE), first);
