@@ -4,7 +4,7 @@ use crate::dome_links::{BALL, assert_all, lit, square};
 use std::f32::consts::PI;
 
 /// Irradiance at the corners of the floor, each below one of a square as large, 2 above it, of radiance 3: the form factor of
-/// a square with sides half as long as its distance.
+/// a square with sides as long as its distance. Corners are lit from a little inside, where there is 1.3 % more.
 const BELOW_A_CORNER: f32 = 3.0 * PI * 0.138_534;
 
 /// A square of radiance 3 that looks down on the floor from twice its half width, and has these links.
@@ -29,10 +29,10 @@ fn a_mesh_light_lights_the_prims_of_its_light_link_and_no_others() {
         lit(&more, &["floor", "beside"], "irradiance_direct", &[])
     };
     let all = of("");
-    assert_all(&all[0], BELOW_A_CORNER, 0.01);
+    assert_all(&all[0], BELOW_A_CORNER, 0.02);
     let linked = of("rel collection:lightLink:excludes = </World/floor>");
     assert!(linked[0].iter().all(|value| *value == glam::Vec3::ZERO));
-    assert_all(&linked[1], BELOW_A_CORNER, 0.01);
+    assert_all(&linked[1], BELOW_A_CORNER, 0.02);
 }
 
 #[test]
@@ -45,7 +45,7 @@ fn a_mesh_light_is_blocked_by_the_prims_of_its_shadow_link_and_no_others() {
     assert_all(
         &of("rel collection:shadowLink:excludes = </World/ball>"),
         BELOW_A_CORNER,
-        0.01,
+        0.02,
     );
     for value in of("") {
         assert!(value.x < 0.9 * BELOW_A_CORNER && value.x > 0.0, "{value}");
