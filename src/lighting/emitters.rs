@@ -8,7 +8,7 @@ use super::pattern;
 use super::sampled::SampledEmitters;
 use super::stand::Stand;
 use crate::math::Frame;
-use crate::scene::{Input, ParticleSet, PrimId, Scene};
+use crate::scene::{Input, Interpolation, ParticleSet, PrimId, Scene};
 use crate::shading::{Shader, SurfacePoint};
 use glam::{DVec3, Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
@@ -288,18 +288,25 @@ pub(super) fn emissive_triangles(shader: &Shader<'_>) -> Vec<EmissiveTriangle> {
     all
 }
 
+/// True if triangle `t` of `prim` emits the same all over.
 fn has_constant_emission(scene: &Scene, prim: PrimId, t: usize) -> bool {
     let prim = &scene.prims[prim.index()];
-    let face = scene.mesh_of(prim).triangle_faces[t];
-    (prim.materials.of_face(face)).is_some_and(|id| {
+    let mesh = scene.mesh_of(prim);
+    (prim.materials.of_face(mesh.triangle_faces[t])).is_some_and(|id| {
         let material = &scene.materials[id.index()];
         let inputs = [
             &material.emissive_color,
             &material.opacity,
             &material.opacity_threshold,
         ];
-        let is_constant = |input: &Input| matches!(input, Input::Constant(_));
-        inputs.into_iter().all(is_constant)
+        inputs.into_iter().all(|input| match input {
+            Input::Constant(_) => true,
+            Input::Primvar { name, .. } => mesh.primvar(name).is_none_or(|primvar| {
+                let kind = &primvar.interpolation;
+                matches!(kind, Interpolation::Constant | Interpolation::Uniform)
+            }),
+            Input::Texture(_) => false,
+        })
     })
 }
 
