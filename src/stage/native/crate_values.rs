@@ -48,21 +48,22 @@ impl<'a> Values<'a> {
         if rep & INLINED != 0 {
             return may_be_inlined(kind, rep & ARRAY != 0);
         }
-        if rep & ARRAY != 0 && payload == 0 {
-            return Ok(());
-        }
         let at = usize::try_from(payload).map_err(|_| cut_off())?;
         let reader = Reader::new(self.bytes, at);
-        match rep & ARRAY != 0 {
-            true => self.array(kind, rep & COMPRESSED != 0, reader),
-            false => self.single(kind, reader, depth),
+        // Of what has no arrays the crate reads one, whatever this bit says.
+        match element_bytes(kind).filter(|_| rep & ARRAY != 0) {
+            Some(_) if payload == 0 => Ok(()),
+            Some(size) => self.array((kind, size), rep & COMPRESSED != 0, reader),
+            None => self.single(kind, reader, depth),
         }
     }
 
-    fn array(&self, kind: u64, compressed: bool, mut reader: Reader<'a>) -> Result<(), String> {
-        let Some(size) = element_bytes(kind) else {
-            return Ok(());
-        };
+    fn array(
+        &self,
+        (kind, size): (u64, usize),
+        compressed: bool,
+        mut reader: Reader<'a>,
+    ) -> Result<(), String> {
         // string, asset and path expression: lists of indices, always with a 64-bit count
         let listed = matches!(kind, 10 | 12 | 57);
         if self.minor < 5 && !listed {
@@ -222,10 +223,18 @@ mod tests {
 
     /// Found by the fuzz run of seed 601, case 187364: the crate reserved 75 PB for an array of strings at offset 1.
     #[test]
-    fn lists_do_not_stand_in_place_of_their_offset() {
+    fn lists_do_not_stand_in_place_of_their_offset_and_lie_in_the_file() {
         let rep = |kind: u64, flags: u64| flags | (kind << 48) | 1;
         assert!(check(&[], 8, &[rep(10, ARRAY | INLINED)]).is_err());
         assert!(check(&[], 8, &[rep(34, INLINED)]).is_err());
+        // Seed 3011, case 228225: 2 TB for a list of paths that says it is an array of these.
+        let mut bytes = vec![0; 16];
+        bytes.push(0b10);
+        bytes.extend(u64::MAX.to_le_bytes());
+        let list = |flags: u64| flags | (34 << 48) | 16;
+        assert!(check(&bytes, 8, &[list(0)]).is_err());
+        assert!(check(&bytes, 8, &[list(ARRAY)]).is_err());
+        assert!(check(&bytes, 8, &[list(ARRAY | COMPRESSED)]).is_err());
         // an int, an empty dictionary
         assert_eq!(check(&[], 8, &[rep(3, INLINED), rep(31, INLINED)]), Ok(()));
     }
