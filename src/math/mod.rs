@@ -4,6 +4,7 @@ pub mod bits;
 pub mod bounds;
 pub mod frame;
 pub mod packing;
+pub mod parts;
 pub mod sequence;
 pub mod sh;
 pub mod solid_angle;

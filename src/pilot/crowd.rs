@@ -1,6 +1,7 @@
 //! Receivers that tell costs: neighbors, as a run has them.
 
 use crate::receivers::Receivers;
+use rayon::prelude::*;
 
 /// Groups of neighbors, and receivers in each: what looks along a direction together.
 const GROUPS: usize = 4;
@@ -12,7 +13,8 @@ pub fn crowd(receivers: &Receivers) -> Receivers {
     let count = receivers.len();
     let groups = GROUPS.min(count.div_ceil(GROUP));
     let mut chosen: Vec<usize> = (0..groups)
-        .flat_map(|k| around(receivers, (2 * k + 1) * count / (2 * groups)))
+        .into_par_iter()
+        .flat_map_iter(|k| around(receivers, (2 * k + 1) * count / (2 * groups)))
         .collect();
     chosen.sort_unstable();
     chosen.dedup();

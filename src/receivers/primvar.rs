@@ -8,6 +8,7 @@
 //! of the last used point before them in the authored order (of the first used one, if there is none before).
 
 use super::Receivers;
+use crate::math::parts::in_parts;
 use crate::results::{BakeInterpolation, PrimvarSpan, Target};
 use crate::scene::{Cage, PlacedMesh, PrimId, Scene, on_the_side_of};
 use crate::shading::SurfacePoint;
@@ -25,40 +26,52 @@ pub fn place(scene: &Scene, prims: &[PrimId], interpolation: BakeInterpolation) 
         .par_iter()
         .filter_map(|&id| place_prim(scene, id, interpolation))
         .collect();
-    let mut receivers = Receivers {
-        origin: scene.origin,
-        position: Vec::new(),
-        normal: Vec::new(),
-        geometric_normal: Vec::new(),
-        prim: Vec::new(),
-        surface: Vec::new(),
-        depth: Vec::new(),
-        toward_eye: Vec::new(),
-        target: Target::Primvars(Vec::new()),
-    };
-    let mut spans = Vec::with_capacity(placed.len());
     let mut first = 0;
-    for prim in placed {
-        let span = prim
-            .receiver_of_value
-            .iter()
-            .map(|receiver| first + receiver);
-        spans.push(PrimvarSpan {
+    let span = |prim: &Placed| {
+        let values = prim.receiver_of_value.iter();
+        let receiver_of_value = values.map(|receiver| first + receiver).collect();
+        first += number(prim.vertices.len());
+        PrimvarSpan {
             prim: prim.id,
             interpolation,
-            receiver_of_value: span.collect(),
-        });
-        for vertex in &prim.vertices {
-            receivers.position.push(vertex.position);
-            receivers.normal.push(vertex.normal);
-            receivers.geometric_normal.push(vertex.geometric_normal);
-            receivers.prim.push(prim.id.0);
-            receivers.surface.push(vertex.surface);
-            first += 1;
+            receiver_of_value,
         }
+    };
+    let spans = placed.iter().map(span).collect();
+    let places = || {
+        rayon::join(
+            || column(&placed, |vertex| vertex.position),
+            || column(&placed, |vertex| vertex.normal),
+        )
+    };
+    let surfaces = || {
+        rayon::join(
+            || column(&placed, |vertex| vertex.geometric_normal),
+            || column(&placed, |vertex| vertex.surface),
+        )
+    };
+    let ((position, normal), (geometric_normal, surface)) = rayon::join(places, surfaces);
+    Receivers {
+        origin: scene.origin,
+        position,
+        normal,
+        geometric_normal,
+        prim: surface.iter().map(|point| point.prim.0).collect(),
+        surface,
+        depth: Vec::new(),
+        toward_eye: Vec::new(),
+        target: Target::Primvars(spans),
     }
-    receivers.target = Target::Primvars(spans);
-    receivers
+}
+
+/// What `of` tells of each vertex, one prim after the other.
+fn column<T>(placed: &[Placed], of: impl Fn(&Vertex) -> T) -> Vec<T> {
+    let count = placed.iter().map(|prim| prim.vertices.len()).sum();
+    let mut column = Vec::with_capacity(count);
+    for prim in placed {
+        column.extend(prim.vertices.iter().map(&of));
+    }
+    column
 }
 
 /// A point of a cage as a receiver.
@@ -84,8 +97,8 @@ fn place_prim(scene: &Scene, id: PrimId, interpolation: BakeInterpolation) -> Op
     let surroundings = surroundings(&world, &slots);
     let mut receiver_of_slot = Vec::with_capacity(slots.slots.len());
     let mut used = Vec::with_capacity(slots.slots.len());
-    for (slot, around) in slots.slots.iter().zip(surroundings) {
-        used.extend(around.map(|around| (slot, around)));
+    for (slot, around) in slots.slots.iter().zip(&surroundings) {
+        used.extend(around.as_ref().map(|around| (slot, around)));
         receiver_of_slot.push(number(used.len()).saturating_sub(1));
     }
     let vertices: Vec<Vertex> = (used.par_iter())
@@ -231,33 +244,43 @@ struct Around {
 fn surroundings(world: &PlacedMesh<'_>, slots: &Slots<'_>) -> Vec<Option<Around>> {
     let mesh = world.mesh;
     let mut all: Vec<Option<Around>> = vec![None; slots.slots.len()];
-    for (t, corners) in (0_u32..).zip(&mesh.triangles) {
-        let [a, b, c] = mesh.corners(t as usize);
-        let normal = (b - a).cross(c - a);
-        let size = normal.length_squared();
-        for (corner, &point) in (0_u8..).zip(corners) {
+    in_parts(&mut all, mesh.triangles.len(), |mut part| {
+        let range = part.range();
+        for (t, corners) in (0_u32..).zip(&mesh.triangles) {
+            let face = mesh.triangle_faces[t as usize];
             // Refined surfaces have positions beyond the cage's points.
-            if point as usize >= slots.cage.point_count {
+            let on_cage = |&point: &u32| (point as usize) < slots.cage.point_count;
+            let slot = |point: u32| {
+                let point = Some(point).filter(on_cage)?;
+                slots.find(face, point).filter(|slot| range.contains(slot))
+            };
+            let found = corners.map(slot);
+            if found == [None; 3] {
                 continue;
             }
-            let Some(slot) = slots.find(mesh.triangle_faces[t as usize], point) else {
-                continue;
-            };
-            let this = Around {
-                normal,
-                triangle: t,
-                corner,
-                size,
-            };
-            all[slot] = Some(match all[slot] {
-                None => this,
-                Some(other) => Around {
-                    normal: other.normal + normal,
-                    ..if size > other.size { this } else { other }
-                },
-            });
+            let [a, b, c] = mesh.corners(t as usize);
+            let normal = (b - a).cross(c - a);
+            let size = normal.length_squared();
+            for (corner, slot) in (0_u8..).zip(found) {
+                let Some(around) = slot.and_then(|slot| part.get_mut(slot)) else {
+                    continue;
+                };
+                let this = Around {
+                    normal,
+                    triangle: t,
+                    corner,
+                    size,
+                };
+                *around = Some(match *around {
+                    None => this,
+                    Some(other) => Around {
+                        normal: other.normal + normal,
+                        ..if size > other.size { this } else { other }
+                    },
+                });
+            }
         }
-    }
+    });
     all
 }
 

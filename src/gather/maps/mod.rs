@@ -51,6 +51,7 @@ use rayon::prelude::*;
 use shell::Shell;
 use sky::SkyCell;
 use std::f32::consts::PI;
+use std::sync::Arc;
 
 /// How maps are drawn and looked at.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -210,7 +211,7 @@ struct Stage<'a> {
 }
 
 struct DrawnClass<'a> {
-    shells: Vec<Shell<'a>>,
+    shells: Vec<Arc<Shell<'a>>>,
     /// Index into `shells`, and how it stands.
     pieces: Vec<(usize, plan::Occluder)>,
     bounds: Bounds3,
@@ -219,8 +220,9 @@ struct DrawnClass<'a> {
 
 impl<'a> Stage<'a> {
     fn new(plan: &MapsPlan<'a>, settings: &MapsSettings) -> Self {
+        plan.expect_detail(settings.cell);
         let classes = plan.classes.par_iter();
-        let mut stage = Self {
+        let stage = Self {
             classes: classes
                 .map(|class| DrawnClass::new(plan, class, settings))
                 .collect(),
@@ -230,17 +232,17 @@ impl<'a> Stage<'a> {
     }
 
     /// As many as fit.
-    fn keep_blocks(&mut self) {
+    fn keep_blocks(&self) {
         let mut free = BLOCK_BYTES;
-        let shells = self.classes.iter_mut().flat_map(|class| &mut class.shells);
-        let kept: Vec<&mut Shell<'_>> = shells
+        let shells = self.classes.iter().flat_map(|class| &class.shells);
+        let kept: Vec<&Arc<Shell<'_>>> = shells
             .filter(|shell| {
                 let fits = shell.block_bytes() <= free;
                 free -= if fits { shell.block_bytes() } else { 0 };
                 fits
             })
             .collect();
-        kept.into_par_iter().for_each(Shell::keep_blocks);
+        kept.into_par_iter().for_each(|shell| shell.keep_blocks());
     }
 
     fn axes_at_once(&self) -> usize {
@@ -293,12 +295,12 @@ impl<'a> DrawnClass<'a> {
             let mesh = plan.scene.prims[occluder.prim.index()].mesh.index();
             if slot_of_mesh[mesh] == usize::MAX {
                 slot_of_mesh[mesh] = shells.len();
-                let cell = settings.cell * class.edge / occluder.scale;
                 shells.push(if settings.cell >= 1.0 {
-                    decimate::decimate(plan.mesh(occluder), plan.normals(mesh), cell)
+                    plan.thinned(occluder, settings.cell * class.edge / occluder.scale)
                 } else {
                     let mesh = &plan.scene.meshes[mesh];
-                    Shell::new(&mesh.positions, &mesh.triangles, mesh.bounds().center())
+                    let center = mesh.bounds().center();
+                    Arc::new(Shell::new(&mesh.positions, &mesh.triangles, center))
                 });
             }
             pieces.push((slot_of_mesh[mesh], *occluder));

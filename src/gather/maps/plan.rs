@@ -2,13 +2,17 @@
 //! tested exactly.
 
 use super::borders::{self, Edges, Turn};
+use super::decimate::decimate;
 use super::flat::{self, Flat};
 use super::handover;
+use super::shell::Shell;
 use crate::math::Bounds3;
+use crate::math::parts::{in_parts, takes_threads};
 use crate::scene::{Mesh, Prim, PrimId, Scene};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
-use std::sync::OnceLock;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Prims whose edges are this many times longer than those of the densest prim in a map get a map of their own.
 const CLASS_RATIO: f32 = 4.0;
@@ -36,6 +40,17 @@ pub struct MapsPlan<'a> {
     edges: Vec<OnceLock<Edges>>,
     /// Of each mesh: see [`Self::creases`].
     creases: Vec<OnceLock<Vec<bool>>>,
+    /// See [`Self::thinned`].
+    thinned: Mutex<Thinned>,
+}
+
+/// Meshes thinned to cells of one detail.
+#[derive(Debug, Default)]
+struct Thinned {
+    /// Width of the cells, in mean edges.
+    detail: f32,
+    /// By mesh, and width of the cells in object units.
+    shells: HashMap<(usize, u32), Arc<Shell<'static>>>,
 }
 
 /// Prims that share a map.
@@ -107,7 +122,38 @@ impl<'a> MapsPlan<'a> {
             turns: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
             edges: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
             creases: scene.meshes.iter().map(|_| OnceLock::new()).collect(),
+            thinned: Mutex::default(),
         }
+    }
+
+    /// Make ready to thin to cells of `detail` mean edges. What was thinned to that before is kept, as a pilot tries what the
+    /// run then takes; all else is forgotten.
+    pub(super) fn expect_detail(&self, detail: f32) {
+        let mut known = self.thinned.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.detail.to_bits() != detail.to_bits() {
+            *known = Thinned {
+                detail,
+                shells: HashMap::new(),
+            };
+        }
+        drop(known);
+        let occluders = self.classes.iter().flat_map(|class| &class.occluders);
+        // By all threads together: see below.
+        for occluder in occluders.filter(|o| takes_threads(self.mesh(o).triangles.len())) {
+            self.normals(self.scene.prims[occluder.prim.index()].mesh.index());
+        }
+    }
+
+    /// The mesh of `occluder` with cells of `cell` object units, of the detail that is expected.
+    pub(super) fn thinned(&self, occluder: &Occluder, cell: f32) -> Arc<Shell<'static>> {
+        let mesh = self.scene.prims[occluder.prim.index()].mesh.index();
+        let key = (mesh, cell.to_bits());
+        let known = || self.thinned.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(shell) = known().shells.get(&key) {
+            return Arc::clone(shell);
+        }
+        let shell = decimate(self.mesh(occluder), self.normals(mesh), cell);
+        Arc::clone(known().shells.entry(key).or_insert_with(|| Arc::new(shell)))
     }
 
     /// Area-weighted normals of the positions of a mesh, twice the area long, zero where nothing is attached.
@@ -212,13 +258,21 @@ fn corners(mesh: &Mesh, t: &[u32; 3]) -> [Vec3; 3] {
 
 pub(super) fn normals(mesh: &Mesh) -> Vec<Vec3> {
     let mut normals = vec![Vec3::ZERO; mesh.positions.len()];
-    for t in &mesh.triangles {
-        let [a, b, c] = corners(mesh, t);
-        let normal = (b - a).cross(c - a);
-        normals[t[0] as usize] += normal;
-        normals[t[1] as usize] += normal;
-        normals[t[2] as usize] += normal;
-    }
+    in_parts(&mut normals, mesh.triangles.len(), |mut part| {
+        let range = part.range();
+        for t in &mesh.triangles {
+            if !t.iter().any(|&i| range.contains(&(i as usize))) {
+                continue;
+            }
+            let [a, b, c] = corners(mesh, t);
+            let normal = (b - a).cross(c - a);
+            for &i in t {
+                if let Some(sum) = part.get_mut(i as usize) {
+                    *sum += normal;
+                }
+            }
+        }
+    });
     normals
 }
 

@@ -193,7 +193,7 @@ mod tests {
     fn sixteen_triangles_at_a_time_paint_bit_for_bit_what_the_definition_paints_at_any_level() {
         let mut random = Random(3);
         let (positions, triangles) = triangles(&mut random);
-        let mut shell = Shell::new(positions, triangles, Vec3::splat(0.1));
+        let shell = Shell::new(positions, triangles, Vec3::splat(0.1));
         let bounds = Bounds3 {
             min: Vec3::splat(-3.0),
             max: Vec3::splat(3.0),
@@ -233,7 +233,7 @@ mod tests {
     #[test]
     fn blocks_made_for_each_map_draw_what_kept_ones_draw() {
         let (positions, triangles) = triangles(&mut Random(4));
-        let mut shell = Shell::new(positions, triangles, Vec3::ZERO);
+        let shell = Shell::new(positions, triangles, Vec3::ZERO);
         let bounds = Bounds3 {
             min: Vec3::splat(-3.0),
             max: Vec3::splat(3.0),

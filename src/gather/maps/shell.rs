@@ -3,6 +3,7 @@
 use super::crowd::{LANES, Lanes};
 use glam::Vec3;
 use std::borrow::Cow;
+use std::sync::OnceLock;
 
 /// Sixteen triangles: `corners[corner][axis]`, relative to their shell's center. Lanes without a triangle hold a
 /// single point, which covers nothing.
@@ -37,8 +38,8 @@ pub(super) struct Shell<'a> {
     pub(super) center: Vec3,
     positions: Cow<'a, [Vec3]>,
     triangles: Cow<'a, [[u32; 3]]>,
-    /// All of them in blocks, or none: then they are made again for each map.
-    blocks: Vec<TriangleBlock>,
+    /// All of them in blocks, once that was asked for; before they are made again for each map.
+    blocks: OnceLock<Vec<TriangleBlock>>,
 }
 
 /// Blocks made at once where they are not kept: half of the first cache.
@@ -54,7 +55,7 @@ impl<'a> Shell<'a> {
             center,
             positions: positions.into(),
             triangles: triangles.into(),
-            blocks: Vec::new(),
+            blocks: OnceLock::new(),
         }
     }
 
@@ -64,17 +65,16 @@ impl<'a> Shell<'a> {
     }
 
     /// Keep all blocks from now on.
-    pub(super) fn keep_blocks(&mut self) {
-        let blocks = self.triangles.chunks(LANES);
-        self.blocks = blocks
-            .map(|triangles| TriangleBlock::of(&self.positions, triangles, self.center))
-            .collect();
+    pub(super) fn keep_blocks(&self) {
+        let block = |triangles: &[_]| TriangleBlock::of(&self.positions, triangles, self.center);
+        let blocks = || self.triangles.chunks(LANES).map(block).collect();
+        self.blocks.get_or_init(blocks);
     }
 
     /// Call `work` with all blocks, some at a time.
     pub(super) fn for_each(&self, mut work: impl FnMut(&[TriangleBlock])) {
-        if !self.blocks.is_empty() {
-            work(&self.blocks);
+        if let Some(blocks) = self.blocks.get() {
+            work(blocks);
             return;
         }
         let mut some = Vec::with_capacity(BLOCKS_AT_ONCE);
