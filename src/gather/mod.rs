@@ -165,28 +165,32 @@ pub fn gather(
     let mut results = empty_results(aovs, receivers.len());
     let order = (work.gains_from_neighbors(engine))
         .then(|| neighbors::order(&receivers.position, &receivers.normal));
-    split(&mut results, receivers.len(), engine.block_size())
-        .into_par_iter()
-        .try_for_each_init(Hemisphere::default, |scratch, mut block| {
-            diagnostics.check()?;
-            let count = block.range.len();
-            if let Some(order) = &order {
-                let places = &order[block.range];
-                let block_receivers = receivers.subset(places);
-                block.range = 0..count;
-                let placed = Placed {
-                    engine,
-                    receivers,
-                    places,
-                };
-                let engine = if is_surveyed { &placed } else { engine };
-                work.fill(engine, &block_receivers, &mut block, scratch);
-            } else {
-                work.fill(engine, receivers, &mut block, scratch);
-            }
-            phase.advance(count as u64);
-            Ok(())
-        })?;
+    split(
+        &mut results,
+        receivers.len(),
+        block_size(engine, receivers.len()),
+    )
+    .into_par_iter()
+    .try_for_each_init(Hemisphere::default, |scratch, mut block| {
+        diagnostics.check()?;
+        let count = block.range.len();
+        if let Some(order) = &order {
+            let places = &order[block.range];
+            let block_receivers = receivers.subset(places);
+            block.range = 0..count;
+            let placed = Placed {
+                engine,
+                receivers,
+                places,
+            };
+            let engine = if is_surveyed { &placed } else { engine };
+            work.fill(engine, &block_receivers, &mut block, scratch);
+        } else {
+            work.fill(engine, receivers, &mut block, scratch);
+        }
+        phase.advance(count as u64);
+        Ok(())
+    })?;
     if let Some(order) = order {
         for buffer in &mut results.buffers {
             buffer.data = neighbors::undo(&order, &buffer.data, buffer.aov.components());
@@ -216,7 +220,7 @@ pub fn read(
         false => (0..receivers.len()).collect(),
     };
     let phase = diagnostics.phase("gather", "receivers", receivers.len() as u64);
-    let block_size = engine.block_size().clamp(1, BLOCK);
+    let block_size = block_size(engine, receivers.len());
     let mut values = vec![0.0; floats * receivers.len()];
     (values.par_chunks_mut(floats * block_size))
         .zip(order.par_chunks(block_size))
@@ -297,6 +301,14 @@ pub fn groups(receivers: &Receivers, picks: &[usize]) -> (Vec<usize>, Vec<usize>
     (all.iter().map(|&place| order[place]).collect(), places)
 }
 
+/// Receivers a block of `count`: as many as `engine` takes, or fewer where that would leave threads without work.
+fn block_size(engine: &dyn Engine, count: usize) -> usize {
+    let most = engine.block_size().clamp(1, BLOCK);
+    let threads = rayon::current_num_threads();
+    let rounds = count.div_ceil(threads * most).max(1);
+    count.div_ceil(threads * rounds).max(1)
+}
+
 /// Zeros for `count` receivers.
 fn empty_results(aovs: &[Aov], count: usize) -> Results {
     let buffer = |&aov: &Aov| AovBuffer {
@@ -318,7 +330,6 @@ struct Block<'a> {
 
 /// Cut the buffers of `results` into blocks, so that threads write into their places without copies.
 fn split(results: &mut Results, count: usize, block_size: usize) -> Vec<Block<'_>> {
-    let block_size = block_size.clamp(1, BLOCK);
     let mut blocks: Vec<_> = (0..count)
         .step_by(block_size)
         .map(|start| Block {

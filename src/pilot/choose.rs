@@ -26,15 +26,15 @@ const LAWS: (f64, f64) = (0.5, 1.0);
 
 /// Fewest and most rays that are chosen; the reference may have [`REFERENCE`] times as many.
 const FEWEST_RAYS: f64 = 16.0;
-const MOST_RAYS: f64 = 16_384.0;
+const MOST_RAYS: f64 = 65_536.0;
 
 /// The ladder's first rung and the ratio of its rungs.
 const FIRST_RUNG: u32 = 32;
 const RUNG: u32 = 4;
 
-/// Rays of the reference over the chosen number. Its own error, a third of the run's squared, is known: more rays tell the
+/// Rays of the reference over the chosen number. Its own error, half of the run's squared, is known: more rays tell the
 /// run's hardly better, since what is uncertain comes of the few receivers.
-const REFERENCE: f64 = 2.0;
+const REFERENCE: f64 = 1.5;
 
 /// Engines beside rays and maps are looked at where what they stand on takes at most this share of the run: in none of
 /// the scenes of the README did one win at 5 % or less, and trying them took a sixth of the pilot.
@@ -51,9 +51,9 @@ pub(super) const AIM: f64 = 0.9;
 /// The same where members of a group err alike, and only few groups are looked at.
 const AIM_OF_GROUPS: f64 = 0.75;
 
-/// The pilot looks at one in so many receivers: the reference and the check cost about three times the run's rays there,
-/// without neighbors six times: 8 % of the run.
-const ONE_IN: usize = 80;
+/// The pilot looks at one in so many receivers: the reference and the check cost about two and a half times the run's rays
+/// there, without neighbors seven times: 7 % of a run in which rays see for all receivers.
+const ONE_IN: usize = 112;
 
 /// Pilot receivers at least (if there are so many) and at most.
 const FEWEST: usize = 48;
@@ -358,8 +358,9 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
                 law = ((before / ratio).ln() / f64::from(RUNG).ln()).clamp(LAWS.0, LAWS.1);
             }
             let needed = |ratio: f64| f64::from(rays) * (ratio / AIM).powf(1.0 / law);
-            let is_last = f64::from(rays * RUNG) >= MOST_RAYS;
-            if needed(ratio) <= f64::from(2 * RUNG * rays) || is_last {
+            // So far the law is relied on.
+            let known = f64::from(2 * RUNG * rays);
+            if needed(ratio).min(MOST_RAYS) <= known {
                 let ratios = self.ratios(&errors).into_iter();
                 let needed = ratios.map(|ratio| needed(ratio).clamp(FEWEST_RAYS, MOST_RAYS));
                 let needed = needed.collect();
@@ -501,7 +502,7 @@ fn turn(k: u16) -> f32 {
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "between 16 and 2 · 16384"
+    reason = "between 16 and 1.5 · 65536"
 )]
 fn round(rays: f64) -> u32 {
     rays.clamp(FEWEST_RAYS, REFERENCE * MOST_RAYS).ceil() as u32
@@ -522,6 +523,6 @@ mod tests {
 
     #[test]
     fn rays_are_whole_and_within_their_range() {
-        assert_eq!((round(0.0), round(16.1), round(1e9)), (16, 17, 32_768));
+        assert_eq!((round(0.0), round(16.1), round(1e9)), (16, 17, 98_304));
     }
 }
