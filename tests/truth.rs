@@ -217,3 +217,49 @@ fn a_camera_sees_the_light_of_the_reference_image() {
     assert!(error("direct") <= 0.02, "{compared}");
     assert!(error("ind1") <= 0.03, "{compared}");
 }
+
+/// Relative RMSE of the reflected light of the first image, the second being the truth.
+const COMPARE_IRRADIANCE: &str = "
+import sys, numpy as np, OpenEXR
+def light(path):
+    channels = OpenEXR.File(path).channels()
+    together = channels.get('irradiance_indirect')
+    if together is not None:
+        return together.pixels.astype(float)
+    return np.stack([channels['irradiance_indirect.' + c].pixels.astype(float) for c in 'RGB'], -1)
+ours, truth = (light(path) for path in sys.argv[1:3])
+print(np.sqrt(((ours - truth) ** 2).mean()) / truth.mean())";
+
+#[test]
+fn where_every_pixel_looks_for_itself_clusters_are_tried_and_the_tolerance_is_kept() {
+    let Some(truth) = truth() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let render = |name: &str, options: &[&str]| {
+        let image = folder.path().join(name);
+        let result = surflux()
+            .arg("render")
+            .arg(truth.join("scenes/cornell_spheres.usdc"))
+            .arg("-o")
+            .arg(&image)
+            .args(["--usd", "native", "--json", "--quiet"])
+            .args(["--image-width", "384", "--aov", "irradiance_indirect"])
+            .args(options)
+            .output()
+            .expect("the program starts");
+        (OsString::from(image), json(&result))
+    };
+    let options = ["--tolerance", "0.03", "--interpolate", "never"];
+    let (ours, report) = render("ours.exr", &options);
+    let (settings, error) = (&report["settings"], &report["error"]["estimate"]);
+    println!("{} {} {error}", report["seconds"], settings["engines"]);
+    // Which of them is cheaper hangs on the machine.
+    let trials = settings["pilot"]["trials"].as_array().expect("trials");
+    let is_raster = |trial: &&serde_json::Value| trial["engine"] == "raster";
+    let tried = trials.iter().find(is_raster).expect("clusters are tried");
+    println!("  {tried}");
+    let (rays, _) = render("rays.exr", &["--rays", "1024", "--surfels", "200000"]);
+    let compared = run_python(COMPARE_IRRADIANCE, &[ours, rays]);
+    println!("  {compared}");
+    let off: f64 = compared.trim().parse().expect("a number");
+    assert!(off <= 0.03, "{off}, estimated {error}");
+}

@@ -263,9 +263,12 @@ pub(super) fn promise_of_rays(outcome: &Outcome, tolerance: f64) -> Option<Promi
 /// Rays of a run whose AOVs do not depend on them.
 const FEWEST_RAYS: u32 = 16;
 
-/// Settings of the raster engine that a pilot tries: none. Of a Cornell box with two balls a pilot took rays at 5 and at 2 %
-/// all the same, and trying the others cost it more than that can save.
-const TRIED_RASTER_KNOBS: [(f32, u32); 0] = [];
+/// Settings of the raster engine that a pilot tries: solid angle and resolution.
+const TRIED_RASTER_KNOBS: [(f32, u32); 3] = [(0.4, 12), (0.1, 12), (0.1, 24)];
+
+/// Receivers of a run that a pilot looks at the raster engine for, at least: it looks at 48 groups of 128 neighbors. Where
+/// receivers speak for each other rays are cheaper, in all scenes of the README.
+const RASTER_RECEIVERS: usize = 1 << 17;
 
 /// Everything but rays that can do the job, settings of one engine next to each other, cheap ones first.
 fn rivals(stand: &Stand<'_>) -> Vec<Chosen> {
@@ -279,7 +282,8 @@ fn rivals(stand: &Stand<'_>) -> Vec<Chosen> {
     let lighting = stand.scene().lighting;
     let asks_open = (stand.aovs.iter()).any(|&aov| gather::asks_open(aov, lighting));
     let is_baked = matches!(stand.light(), Light::Baked(_));
-    let raster = (TRIED_RASTER_KNOBS.iter()).filter(|_| is_baked && !asks_open);
+    let is_dense = stand.receivers.len() >= RASTER_RECEIVERS && !interpolates(stand);
+    let raster = (TRIED_RASTER_KNOBS.iter()).filter(|_| is_baked && is_dense && !asks_open);
     (raster.map(|&knobs| Chosen::Raster(knobs)))
         .chain(PAPER_KNOBS.iter().map(|&knobs| Chosen::Paper(knobs)))
         .collect()
