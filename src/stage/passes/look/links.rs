@@ -51,38 +51,48 @@ fn is_limited(paths: &Paths<'_>, index: usize, name: &str) -> bool {
 
 /// Link the lights of `scene`, which `links` are of, to its prims.
 pub(in super::super) fn apply(scene: &mut Scene, links: &[Links]) {
-    let mut known: Vec<(&Membership, Linked)> = Vec::new();
-    let prims = &scene.prims;
+    let mut resolver = Resolver::new(&scene.prims);
     for (light, links) in scene.lights.iter_mut().zip(links) {
-        for (membership, linked) in [
-            (&links.lit, &mut light.lit),
-            (&links.blockers, &mut light.blockers),
-        ] {
-            let Some(membership) = membership else {
-                continue;
-            };
-            let found = known.iter().find(|(other, _)| *other == membership);
-            *linked = match found {
-                Some((_, linked)) => linked.clone(),
-                None => {
-                    let linked = linked_by(membership, prims);
-                    known.push((membership, linked.clone()));
-                    linked
-                }
-            };
-        }
+        LightLinks {
+            lit: light.lit,
+            blockers: light.blockers,
+        } = resolver.links(links);
     }
 }
 
-/// What `links` say of `prims`.
-pub(super) fn among(links: &Links, prims: &[Prim]) -> LightLinks {
-    let linked = |membership: &Option<Membership>| match membership {
-        Some(membership) => linked_by(membership, prims),
-        None => Linked::All,
-    };
-    LightLinks {
-        lit: linked(&links.lit),
-        blockers: linked(&links.blockers),
+/// Collections → which prims are in them; each once, however many lights have it.
+pub(super) struct Resolver<'a> {
+    prims: &'a [Prim],
+    known: Vec<(&'a Membership, Linked)>,
+}
+
+impl<'a> Resolver<'a> {
+    pub(super) fn new(prims: &'a [Prim]) -> Self {
+        Self {
+            prims,
+            known: Vec::new(),
+        }
+    }
+
+    /// What `links` say of the prims.
+    pub(super) fn links(&mut self, links: &'a Links) -> LightLinks {
+        LightLinks {
+            lit: self.linked(links.lit.as_ref()),
+            blockers: self.linked(links.blockers.as_ref()),
+        }
+    }
+
+    fn linked(&mut self, membership: Option<&'a Membership>) -> Linked {
+        let Some(membership) = membership else {
+            return Linked::All;
+        };
+        let found = self.known.iter().find(|(other, _)| *other == membership);
+        if let Some((_, linked)) = found {
+            return linked.clone();
+        }
+        let linked = linked_by(membership, self.prims);
+        self.known.push((membership, linked.clone()));
+        linked
     }
 }
 

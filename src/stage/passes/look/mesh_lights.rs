@@ -6,7 +6,7 @@
 //! scene, where UsdLux would show it the material's own emission.
 
 use super::super::super::raw::RawPrim;
-use super::links::{self, Links};
+use super::links::{Links, Resolver};
 use super::reduce::multiplied;
 use super::values::Values;
 use crate::diagnostics::Diagnostics;
@@ -63,8 +63,9 @@ pub(in super::super) fn shine(scene: &mut Scene, lights: &[MeshLight], diagnosti
     let by_path: HashMap<&str, usize> = (lights.iter().zip(0..))
         .map(|(light, number)| (light.path.as_str(), number))
         .collect();
+    let mut resolver = Resolver::new(&scene.prims);
     let links: Vec<LightLinks> = (lights.iter())
-        .map(|light| links::among(&light.links, &scene.prims))
+        .map(|light| resolver.links(&light.links))
         .collect();
     let mut made = Made::default();
     for index in 0..scene.prims.len() {
