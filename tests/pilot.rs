@@ -166,6 +166,7 @@ impl<'a> Setup<'a> {
             aovs,
             tolerance,
             rays: &rays,
+            share: &|_| Ok(None),
             candidates,
             maps,
             surfel_errors: &[],

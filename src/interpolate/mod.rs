@@ -15,6 +15,7 @@ mod base;
 mod blend;
 mod cells;
 mod fit;
+mod foresee;
 mod grow;
 mod places;
 mod room;
@@ -26,6 +27,7 @@ use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::{self, Engine, GatherScene, Hemisphere};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
+pub use foresee::foresee;
 use grow::{Field, Strictness};
 use seeds::Seeds;
 

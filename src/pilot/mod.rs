@@ -16,10 +16,10 @@ mod question;
 mod sky;
 
 pub use check::Check;
-pub use choose::{choose, picks, rays_with_errors};
+pub use choose::{choose, errors_with_rays, picks, rays_with_errors};
 pub use crowd::crowd;
 pub use light::LightScenes;
-pub use question::{Maps, Outcome, Pilot, Trial};
+pub use question::{Maps, Outcome, Pilot, Share, Trial};
 pub use sky::{finest as finest_maps, knobs as maps_knobs};
 
 use crate::diagnostics::{Cancelled, Diagnostics};

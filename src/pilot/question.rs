@@ -3,6 +3,7 @@
 use super::check::Check;
 use super::light::LightScenes;
 use super::{Candidate, Knobs, Method, Pick};
+use crate::diagnostics::Cancelled;
 use crate::gather::ErrorEstimate;
 use crate::gather::maps::MapsPlan;
 use crate::receivers::Receivers;
@@ -20,6 +21,9 @@ pub struct Pilot<'a, 'c> {
     pub tolerance: f64,
     /// Rays: how many, and the turn of their pattern (0 = the run's).
     pub rays: &'a dyn Fn(u32, f32) -> Box<dyn Method + 'a>,
+    /// Share of the receivers that so many rays would see for where receivers speak for each other; `None` where they do not,
+    /// or nobody can tell.
+    pub share: Share<'a>,
     /// Everything else that could do the whole job, cheap settings of an engine before dear ones.
     pub candidates: &'a [Candidate<'c>],
     /// Depth maps for what only asks for the sky.
@@ -27,6 +31,9 @@ pub struct Pilot<'a, 'c> {
     /// Error of the surfels' spacing, which no engine changes: relative RMSE of each AOV, in order; empty = none.
     pub surfel_errors: &'a [f64],
 }
+
+/// See [`Pilot::share`].
+pub type Share<'a> = &'a dyn Fn(u32) -> Result<Option<f64>, Cancelled>;
 
 /// Whether maps may do what they can.
 #[derive(Debug, Clone, Copy)]
@@ -75,6 +82,8 @@ pub struct Outcome {
     pub pick: Pick,
     /// Rays that meet the tolerance for all AOVs, whether chosen or not; `None` if no AOV depends on them.
     pub rays: Option<u32>,
+    /// See [`Pilot::share`]; `None` if nobody asked.
+    pub share: Option<f64>,
     /// Looks at the results at the pilot's receivers again once the run is done; `None` if no AOV depends on the engine.
     pub check: Option<Check>,
     /// Times the usual light samples that the tolerance needs.

@@ -11,7 +11,7 @@ use super::world::World;
 use crate::diagnostics::Diagnostics;
 use crate::gather::maps::{self, MapsSettings};
 use crate::gather::{self, GatherScene, RaysSettings};
-use crate::interpolate;
+use crate::interpolate::{self, Gathering, InterpolateSettings};
 use crate::lighting::{LightSamples, Lighting};
 use crate::pilot::{self, Candidate, Knobs, LightScenes, Maps, Method, Outcome, Pick, Pilot};
 use crate::results::{Aov, Results};
@@ -58,6 +58,7 @@ impl Choice {
                     handed_over: job.rays,
                     others: job.rays,
                     is_broken: false,
+                    few_see: false,
                 }),
             },
             light_scale: 1,
@@ -80,6 +81,7 @@ impl Choice {
                 handed_over,
                 others: others.unwrap_or(FEWEST_RAYS),
                 is_broken: false,
+                few_see: outcome.share.is_some_and(|share| share < FEW),
             }),
         };
         Self {
@@ -260,6 +262,9 @@ pub(super) fn promise_of_rays(outcome: &Outcome, tolerance: f64) -> Option<Promi
     })
 }
 
+/// Share of the receivers that rays see for where those speak for the others in place of maps that broke their promise.
+const FEW: f64 = 0.5;
+
 /// Rays of a run whose AOVs do not depend on them.
 const FEWEST_RAYS: u32 = 16;
 
@@ -331,6 +336,9 @@ fn round(x: f32) -> f64 {
 /// Share of the tolerance that is left to rays where receivers speak for others: squared errors add up.
 const SHARE_OF_RAYS: f64 = 0.95;
 
+/// Rays of each receiver, at most, that tell how many see for others.
+const FORESEEING_RAYS: u32 = 512;
+
 /// True if receivers that rays have seen may speak for others.
 fn interpolates(stand: &Stand<'_>) -> bool {
     let pays = interpolate::pays(stand.receivers, stand.aovs);
@@ -364,6 +372,27 @@ pub(super) fn look(
         };
         Box::new(stand.rays_with(settings)) as Box<dyn Method>
     };
+    let share = |count: u32| {
+        if !interpolates(stand) {
+            return Ok(None);
+        }
+        let fewer = count.min(FORESEEING_RAYS);
+        let settings = stand.rays_settings(fewer);
+        let gathering = Gathering {
+            scene: stand.scene(),
+            engine: &stand.rays_with(settings),
+            again: None,
+            receivers: stand.receivers,
+            kinds: None,
+            aovs: stand.aovs,
+        };
+        let settings = InterpolateSettings {
+            // Noise asks for seeds too: as much of it beside the tolerance as in the run.
+            tolerance: tolerance * pilot::errors_with_rays(fewer, count),
+            refusals: 0,
+        };
+        interpolate::foresee(gathering, settings, diagnostics)
+    };
     let is_sky = !stand.needs_rays() && stand.aovs.iter().any(|&aov| maps::supports(aov));
     let pilot = Pilot {
         scenes: LightScenes {
@@ -377,6 +406,7 @@ pub(super) fn look(
         aovs: stand.aovs,
         tolerance,
         rays: &rays,
+        share: &share,
         candidates: &candidates,
         maps: match stand.job.engine {
             EngineChoice::Auto if is_sky => {

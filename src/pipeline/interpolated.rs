@@ -34,9 +34,19 @@ impl<'a> InterpolatedMethod<'a> {
         promise: Option<Promise>,
     ) -> Self {
         let settings = stand.rays_settings(rays);
+        let engines = [settings, settings.again()].map(|settings| stand.rays_with(settings));
+        Self::between(engines, (tolerance, refusals), promise)
+    }
+
+    /// The same between what the first of `engines` sees, or the mean of both.
+    pub(super) fn between(
+        [engine, again]: [RaysEngine<'a>; 2],
+        (tolerance, refusals): (f64, u32),
+        promise: Option<Promise>,
+    ) -> Self {
         Self {
-            engine: stand.rays_with(settings),
-            again: stand.rays_with(settings.again()),
+            engine,
+            again,
             settings: InterpolateSettings {
                 tolerance,
                 refusals,

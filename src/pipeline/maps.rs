@@ -30,6 +30,8 @@ pub(super) struct MapsKnobs {
     pub(super) others: u32,
     /// True once maps have broken their promise at an earlier frame: rays then see for them.
     pub(super) is_broken: bool,
+    /// True if rays then need not see for all receivers.
+    pub(super) few_see: bool,
 }
 
 /// Gathers by maps and rays.
@@ -37,15 +39,24 @@ pub(super) struct MapsKnobs {
 pub(super) struct MapsMethod<'a> {
     plan: &'a MapsPlan<'a>,
     settings: MapsSettings,
-    handed_over: RaysEngine<'a>,
-    /// Receivers that these have computed.
+    rays: Rays<'a>,
+    /// Receivers that were handed over.
     handed_over_count: AtomicUsize,
-    /// Rays for all else.
-    others: Box<dyn Method + 'a>,
     promise: Option<Promise>,
     /// Settings of the maps that kept their promise, if these are not the ones that were asked for.
     finer: OnceLock<MapsSettings>,
     is_redone: AtomicBool,
+}
+
+/// What looks where maps do not.
+#[derive(Debug)]
+pub(super) struct Rays<'a> {
+    /// For receivers that maps cannot tell anything of.
+    pub(super) handed_over: RaysEngine<'a>,
+    /// For all of them, where maps break their promise.
+    pub(super) instead: Box<dyn Method + 'a>,
+    /// For AOVs that maps know nothing of.
+    pub(super) others: Box<dyn Method + 'a>,
 }
 
 /// What has to be kept by the results at all receivers of the run.
@@ -70,16 +81,14 @@ impl<'a> MapsMethod<'a> {
     /// then those of the whole run.
     pub(super) fn new(
         (plan, knobs): (&'a MapsPlan<'a>, &MapsKnobs),
-        handed_over: RaysEngine<'a>,
-        others: Box<dyn Method + 'a>,
+        rays: Rays<'a>,
         promise: Option<Promise>,
     ) -> Self {
         Self {
             plan,
             settings: knobs.settings,
-            handed_over,
+            rays,
             handed_over_count: AtomicUsize::new(0),
-            others,
             promise,
             finer: OnceLock::new(),
             is_redone: AtomicBool::new(knobs.is_broken),
@@ -122,8 +131,9 @@ impl<'a> MapsMethod<'a> {
         (receivers, aovs): (&Receivers, &[Aov]),
         diagnostics: &Diagnostics,
     ) -> Result<Results, Cancelled> {
+        let by_rays = || (self.rays.instead).gather(scene, receivers, aovs, diagnostics);
         if self.is_redone() {
-            return gather::gather(scene, &self.handed_over, receivers, aovs, diagnostics);
+            return by_rays();
         }
         let seen = self.drawn(scene, (receivers, aovs), &self.settings, diagnostics)?;
         if self.keeps_promise(&seen) {
@@ -138,7 +148,7 @@ impl<'a> MapsMethod<'a> {
             }
         }
         self.is_redone.store(true, Ordering::Relaxed);
-        gather::gather(scene, &self.handed_over, receivers, aovs, diagnostics)
+        by_rays()
     }
 
     /// By maps, and rays for receivers that these cannot judge.
@@ -152,7 +162,7 @@ impl<'a> MapsMethod<'a> {
         let mut count = 0;
         let mut by_rays = |few: &Receivers, aovs: &[Aov]| {
             count += few.len();
-            gather::gather(scene, &self.handed_over, few, aovs, diagnostics)
+            gather::gather(scene, &self.rays.handed_over, few, aovs, diagnostics)
         };
         let seen = maps::gather_sky(
             (self.plan, settings),
@@ -184,7 +194,9 @@ impl Method for MapsMethod<'_> {
         let mut found = if rest.is_empty() {
             Results::default()
         } else {
-            self.others.gather(scene, receivers, &rest, diagnostics)?
+            self.rays
+                .others
+                .gather(scene, receivers, &rest, diagnostics)?
         };
         if !sky.is_empty() {
             let (errors, mut sky): (Vec<Aov>, Vec<Aov>) =

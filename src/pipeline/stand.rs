@@ -3,7 +3,7 @@
 use super::gather::Light;
 use super::interpolated::InterpolatedMethod;
 use super::job::{GatherJob, Part};
-use super::maps::{MapsKnobs, MapsMethod, Promise};
+use super::maps::{MapsKnobs, MapsMethod, Promise, Rays};
 use super::raster::RasterMethod;
 use super::spacing::{Lit, Relit};
 use super::world::World;
@@ -177,8 +177,8 @@ impl<'a> Stand<'a> {
     /// Maps with these knobs, and rays for the rest.
     pub(super) fn maps(&self, knobs: &MapsKnobs, promise: Option<Promise>) -> MapsMethod<'_> {
         // Whoever is handed over asks for the sky alone: rays that need not know what they hit are faster.
-        let handed_over = self.rays_settings(knobs.handed_over);
-        let handed_over = RaysEngine::new(&self.world.tracer, None, handed_over);
+        let settings = self.rays_settings(knobs.handed_over);
+        let of_sky = |settings| RaysEngine::new(&self.world.tracer, None, settings);
         let rays = knobs.others;
         let tolerance = self.job.tolerance.filter(|_| self.job.interpolate);
         let others: Box<dyn Method + '_> = match tolerance {
@@ -188,7 +188,24 @@ impl<'a> Stand<'a> {
             }
             None => Box::new(self.rays_with(self.rays_settings(rays))),
         };
-        MapsMethod::new((self.maps_plan(), knobs), handed_over, others, promise)
+        let instead: Box<dyn Method + '_> = match tolerance.filter(|_| knobs.few_see) {
+            Some(tolerance) => {
+                let engines = [settings, settings.again()].map(of_sky);
+                let promise = promise.clone();
+                Box::new(InterpolatedMethod::between(
+                    engines,
+                    (tolerance, 0),
+                    promise,
+                ))
+            }
+            None => Box::new(of_sky(settings)),
+        };
+        let rays = Rays {
+            handed_over: of_sky(settings),
+            instead,
+            others,
+        };
+        MapsMethod::new((self.maps_plan(), knobs), rays, promise)
     }
 
     /// What maps draw, looked at when first asked for.

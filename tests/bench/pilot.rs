@@ -84,6 +84,7 @@ impl Question<'_> {
             aovs: &[aov],
             tolerance,
             rays: &rays,
+            share: &|_| Ok(None),
             candidates: &[],
             maps: self.maps,
             surfel_errors: &[],

@@ -39,7 +39,7 @@ impl Bench<'_, '_, '_> {
             by_rays.map_or(0.0, |(_, judge)| seconds(judge) / judge.rays)
         };
         let ray = a_ray(|judge| judge.seconds_per_receiver);
-        let others_seconds = self.run_seconds(ray * others.unwrap_or(0.0));
+        let others_seconds = others.map_or(0.0, |others| self.rays_seconds(ray * others));
         // Rays for light that are enough for the sky too tell it for nothing.
         let is_free = others.is_some_and(|others| others >= sky_rays.unwrap_or(0.0));
         if limit.is_finite() && (others_seconds >= limit || (is_free && self.image.is_none())) {

@@ -113,6 +113,7 @@ impl<'a> Swept<'a> {
                 handed_over: directions,
                 others: directions,
                 is_broken: false,
+                few_see: false,
             };
             Subject {
                 engine: "maps",
