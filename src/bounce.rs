@@ -7,7 +7,7 @@
 use crate::bake::Baked;
 use crate::diagnostics::{Cancelled, Diagnostics, Phase};
 use crate::gather::radiance::surfel_of;
-use crate::gather::{self, Engine, EngineFactory, Hemisphere, quantities::irradiance};
+use crate::gather::{CloudGather, Pass};
 use crate::receivers::{Receivers, surfel};
 use crate::surfels::SurfelCloud;
 use crate::trace::Tracer;
@@ -73,14 +73,14 @@ impl Bounces {
 /// Let light be reflected `bounces` times in all: a cloud like `clouds.fine` whose reflected radiosity is that of
 /// light after that many reflections, and their number. 0 and 1 change nothing, as one reflection is what a bake delivers.
 ///
-/// `factory` makes the engines; they read from the cloud that is computed on (the coarse one if there is one).
+/// `light` gathers from the cloud that is computed on (the coarse one if there is one).
 /// Cost: a gather at every surfel of that cloud for each reflection but the first.
 ///
 /// # Errors
 /// When cancelled.
 pub fn bounce(
     clouds: BounceClouds<'_>,
-    factory: &dyn EngineFactory,
+    light: &dyn CloudGather,
     bounces: Bounces,
     diagnostics: &Diagnostics,
 ) -> Result<(SurfelCloud, u32), Cancelled> {
@@ -101,14 +101,18 @@ pub fn bounce(
         cloud.len() as u64 * u64::from(foretold),
     );
     let step = Step {
-        factory,
+        light,
         diagnostics,
         phase: &phase,
     };
+    let pass = |count: u32| match bounces {
+        Bounces::Count(asked) if count >= asked => Pass::Last,
+        _ => Pass::Early,
+    };
     // All but the last gather update the cloud itself, the last one gives the light that the fine cloud takes.
     let mut lit = cloud.clone();
-    let mut irradiance = step.gather(&lit, &receivers)?;
     let mut count = 2;
+    let mut irradiance = step.gather(&lit, &receivers, pass(count))?;
     let mut growth = Growth::new(cloud, &lit);
     loop {
         let more = reflect(cloud, &irradiance);
@@ -120,8 +124,11 @@ pub fn bounce(
             break;
         }
         lit = more;
-        irradiance = step.gather(&lit, &receivers)?;
         count += 1;
+        irradiance = step.gather(&lit, &receivers, pass(count))?;
+    }
+    if pass(count) == Pass::Early {
+        irradiance = step.gather(&lit, &receivers, Pass::Last)?;
     }
     let Some(coarse) = clouds.coarse else {
         return Ok((reflect(fine, &irradiance), count));
@@ -179,37 +186,22 @@ fn reflected_power(cloud: &SurfelCloud, lit: &SurfelCloud) -> f64 {
 
 /// What one gather over surfels needs besides the cloud.
 struct Step<'a> {
-    factory: &'a dyn EngineFactory,
+    light: &'a dyn CloudGather,
     diagnostics: &'a Diagnostics,
     phase: &'a Phase<'a>,
 }
 
 impl Step<'_> {
     /// Irradiance at `receivers` from the light that `cloud` reflects.
-    fn gather(&self, cloud: &SurfelCloud, receivers: &Receivers) -> Result<Vec<Vec3>, Cancelled> {
-        let mut irradiance = vec![Vec3::ZERO; receivers.len()];
-        let mut outcome = Ok(());
-        self.factory.with_engine(cloud, &mut |engine| {
-            outcome = self.fill_all(engine, receivers, &mut irradiance);
-        });
-        outcome.map(|()| irradiance)
-    }
-
-    fn fill_all(
+    fn gather(
         &self,
-        engine: &dyn Engine,
+        cloud: &SurfelCloud,
         receivers: &Receivers,
-        irradiance: &mut [Vec3],
-    ) -> Result<(), Cancelled> {
-        irradiance
-            .par_chunks_mut(gather::BLOCK)
-            .enumerate()
-            .try_for_each_init(Hemisphere::default, |scratch, (block, out)| {
-                self.diagnostics.check()?;
-                fill(engine, receivers, block * gather::BLOCK, (scratch, out));
-                self.phase.advance(out.len() as u64);
-                Ok(())
-            })
+        pass: Pass,
+    ) -> Result<Vec<Vec3>, Cancelled> {
+        let irradiance = (self.light).irradiance(cloud, receivers, pass, self.diagnostics)?;
+        self.phase.advance(receivers.len() as u64);
+        Ok(irradiance)
     }
 
     /// Irradiance at the surfels of `fine`: that of the coarse cell each lies in, gathered from `lit` where it lies
@@ -222,7 +214,7 @@ impl Step<'_> {
         lit: &SurfelCloud,
     ) -> Result<Vec<Vec3>, Cancelled> {
         let lost: Vec<usize> = (0..cells.len()).filter(|&i| cells[i].is_none()).collect();
-        let gathered = self.gather(lit, &surfel::place(fine).subset(&lost))?;
+        let gathered = self.gather(lit, &surfel::place(fine).subset(&lost), Pass::Last)?;
         let mut irradiance: Vec<Vec3> = cells
             .iter()
             .map(|cell| cell.map_or(Vec3::ZERO, |cell| coarse_irradiance[cell as usize]))
@@ -232,19 +224,6 @@ impl Step<'_> {
         }
         Ok(irradiance)
     }
-}
-
-/// Irradiance at one block of receivers, from `start` on.
-fn fill(
-    engine: &dyn Engine,
-    receivers: &Receivers,
-    start: usize,
-    (scratch, out): (&mut Hemisphere, &mut [Vec3]),
-) {
-    let range = start..start + out.len();
-    engine.see(receivers, range, scratch, &mut |i, seen| {
-        out[i - start] = irradiance::indirect(seen);
-    });
 }
 
 /// `cloud`, which holds one reflection, with its albedo · `irradiance` added.
@@ -261,6 +240,7 @@ fn reflect(cloud: &SurfelCloud, irradiance: &[Vec3]) -> SurfelCloud {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gather::{self, Engine, Hemisphere};
     use std::f32::consts::PI;
     use std::ops::Range;
 
@@ -300,11 +280,17 @@ mod tests {
     }
 
     #[derive(Debug)]
-    struct CubeFactory;
+    struct InCube;
 
-    impl EngineFactory for CubeFactory {
-        fn with_engine(&self, cloud: &SurfelCloud, work: &mut dyn FnMut(&dyn Engine)) {
-            work(&CubeEngine(cloud));
+    impl CloudGather for InCube {
+        fn irradiance(
+            &self,
+            cloud: &SurfelCloud,
+            receivers: &Receivers,
+            _pass: Pass,
+            diagnostics: &Diagnostics,
+        ) -> Result<Vec<Vec3>, Cancelled> {
+            gather::irradiance(&CubeEngine(cloud), receivers, diagnostics)
         }
     }
 
@@ -339,7 +325,7 @@ mod tests {
         for bounces in [0, 1, 2, 3, 12] {
             let (lit, count) = bounce(
                 on_itself(&cloud),
-                &CubeFactory,
+                &InCube,
                 Bounces::Count(bounces),
                 &Diagnostics::default(),
             )
@@ -362,13 +348,8 @@ mod tests {
         let cloud = furnace(Vec3::splat(albedo));
         for part in [0.1, 0.01] {
             let until = Bounces::Until(part);
-            let (lit, count) = bounce(
-                on_itself(&cloud),
-                &CubeFactory,
-                until,
-                &Diagnostics::default(),
-            )
-            .unwrap();
+            let (lit, count) =
+                bounce(on_itself(&cloud), &InCube, until, &Diagnostics::default()).unwrap();
             // After k reflections ½ᵏ of the light is to come.
             assert_eq!(f64::from(count), (1.0 / part).log2().ceil(), "{part}");
             let whole = PI * albedo / (1.0 - albedo);
@@ -384,7 +365,7 @@ mod tests {
         let diagnostics = Diagnostics::default();
         let phase = diagnostics.phase("bounce", "surfels", 0);
         let step = Step {
-            factory: &CubeFactory,
+            light: &InCube,
             diagnostics: &diagnostics,
             phase: &phase,
         };
@@ -403,17 +384,12 @@ mod tests {
         let diagnostics = Diagnostics::default();
         let empty = SurfelCloud::default();
         let five = Bounces::Count(5);
-        let (lit, _) = bounce(on_itself(&empty), &CubeFactory, five, &diagnostics).unwrap();
+        let (lit, _) = bounce(on_itself(&empty), &InCube, five, &diagnostics).unwrap();
         assert!(lit.is_empty());
         diagnostics.cancel_token().cancel();
         let cloud = furnace(Vec3::ONE);
         assert_eq!(
-            bounce(
-                on_itself(&cloud),
-                &CubeFactory,
-                Bounces::Count(2),
-                &diagnostics
-            ),
+            bounce(on_itself(&cloud), &InCube, Bounces::Count(2), &diagnostics),
             Err(Cancelled)
         );
     }

@@ -14,7 +14,7 @@ use surflux::bounce::{BounceClouds, Bounces, CoarseCloud, bounce};
 use surflux::diagnostics::{Cancelled, Diagnostics};
 
 use surflux::gather::{
-    DicedSurfels, GatherScene, HitLight, RadianceSource, RaysEngine, RaysFactory, RaysSettings,
+    CloudRays, DicedSurfels, GatherScene, HitLight, RadianceSource, RaysEngine, RaysSettings,
     Reference, estimate, gather,
 };
 use surflux::lighting::{LightSamples, Lighting};
@@ -135,7 +135,7 @@ fn white_furnace_gives_the_geometric_series() {
     let setup = Setup::new(&scene);
     let baked = setup.bake(6000);
     let receivers = receivers_in(&scene, prim, 17);
-    let factory = RaysFactory {
+    let light = CloudRays {
         tracer: &setup.tracer,
         dice: &baked.dice,
         settings: RaysSettings::SURFEL,
@@ -145,13 +145,8 @@ fn white_furnace_gives_the_geometric_series() {
             fine: &baked.cloud,
             coarse: None,
         };
-        let (cloud, _) = bounce(
-            clouds,
-            &factory,
-            Bounces::Count(bounces),
-            &setup.diagnostics,
-        )
-        .expect("runs");
+        let (cloud, _) =
+            bounce(clouds, &light, Bounces::Count(bounces), &setup.diagnostics).expect("runs");
         let results = setup.lit((&baked, &cloud), &receivers, &[Aov::Irradiance]);
         let exact = PI
             * (0..=bounces.cast_signed())
@@ -169,7 +164,7 @@ fn a_coarser_cloud_bounces_the_same_light() {
     let (scene, prim) = furnace(0.6);
     let setup = Setup::new(&scene);
     let (fine, coarse) = (setup.bake(6000), setup.bake(800));
-    let factory = RaysFactory {
+    let light = CloudRays {
         tracer: &setup.tracer,
         dice: &coarse.dice,
         settings: RaysSettings::SURFEL,
@@ -181,7 +176,7 @@ fn a_coarser_cloud_bounces_the_same_light() {
             tracer: &setup.tracer,
         }),
     };
-    let (cloud, _) = bounce(clouds, &factory, Bounces::Count(3), &setup.diagnostics).expect("runs");
+    let (cloud, _) = bounce(clouds, &light, Bounces::Count(3), &setup.diagnostics).expect("runs");
     let receivers = receivers_in(&scene, prim, 29);
     let results = setup.lit((&fine, &cloud), &receivers, &[Aov::IrradianceIndirect]);
     let exact = PI * (0.6 + 0.36 + 0.216);
@@ -497,7 +492,7 @@ fn results_are_the_same_bits_for_any_number_of_threads() {
             let setup = Setup::new(&scene);
             let baked = setup.bake(500);
             let receivers = receivers_in(&scene, prim, 2);
-            let factory = RaysFactory {
+            let light = CloudRays {
                 tracer: &setup.tracer,
                 dice: &baked.dice,
                 settings: RaysSettings {
@@ -510,7 +505,7 @@ fn results_are_the_same_bits_for_any_number_of_threads() {
                 coarse: None,
             };
             let (cloud, _) =
-                bounce(clouds, &factory, Bounces::Count(2), &setup.diagnostics).expect("runs");
+                bounce(clouds, &light, Bounces::Count(2), &setup.diagnostics).expect("runs");
             let aovs = [Aov::Irradiance, Aov::Occlusion, Aov::BentNormal, Aov::Color];
             setup.lit((&baked, &cloud), &receivers, &aovs)
         })

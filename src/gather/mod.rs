@@ -19,7 +19,7 @@ pub use estimate::{ErrorEstimate, Reference, estimate};
 pub use known::KnownEngine;
 pub use radiance::{DicedSurfels, LoadedCloud, RadianceSource};
 pub use raster::{RasterEngine, RasterSettings};
-pub use rays::{RaysEngine, RaysFactory, RaysSettings};
+pub use rays::{CloudRays, RaysEngine, RaysSettings};
 
 pub mod maps;
 pub mod paper;
@@ -120,10 +120,28 @@ pub trait Engine: Sync + Debug {
     }
 }
 
-/// Makes an engine that reads light from a cloud; for `bounce`, whose clouds change from one iteration to the next.
-pub trait EngineFactory: Sync + Debug {
-    /// Make an engine over `cloud`, with whatever it stands on, and call `work` with it once.
-    fn with_engine(&self, cloud: &SurfelCloud, work: &mut dyn FnMut(&dyn Engine));
+/// What comes of a gather at a cloud.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pass {
+    /// It is reflected and gathered again, so that surfaces take most of its error away.
+    Early,
+    /// It stays.
+    Last,
+}
+
+/// Gathers the light that a cloud reflects; for `bounce`, whose clouds change from one iteration to the next.
+pub trait CloudGather: Sync + Debug {
+    /// Irradiance, radiance·sr, at each of `receivers` from the light that `cloud` reflects.
+    ///
+    /// # Errors
+    /// When cancelled.
+    fn irradiance(
+        &self,
+        cloud: &SurfelCloud,
+        receivers: &Receivers,
+        pass: Pass,
+        diagnostics: &Diagnostics,
+    ) -> Result<Vec<Vec3>, Cancelled>;
 }
 
 /// What a gather works with.
@@ -240,6 +258,22 @@ pub fn read(
             Ok(())
         })?;
     Ok(neighbors::undo(&order, &values, floats))
+}
+
+/// Irradiance, radiance·sr, at each of `receivers` from the light that surfaces reflect, as `engine` sees it.
+///
+/// # Errors
+/// When cancelled.
+pub fn irradiance(
+    engine: &dyn Engine,
+    receivers: &Receivers,
+    diagnostics: &Diagnostics,
+) -> Result<Vec<Vec3>, Cancelled> {
+    let reading = |_: usize, seen: &Hemisphere, out: &mut [f32]| {
+        out.copy_from_slice(&irradiance::indirect(seen).to_array());
+    };
+    let values = read(engine, receivers, (3, &reading), diagnostics)?;
+    Ok(bytemuck::cast_slice(&values).to_vec())
 }
 
 /// An engine that knows what all of `receivers` see, asked about those in `places`.

@@ -13,7 +13,8 @@ mod through;
 
 use super::radiance::{DicedSurfels, RadianceSource};
 use super::ray_query::RayQuery;
-use super::{Engine, EngineFactory, Hemisphere};
+use super::{CloudGather, Engine, Hemisphere, Pass};
+use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::math::sequence;
 use crate::receivers::Receivers;
 use crate::surfels::{DiceMap, SurfelCloud};
@@ -275,21 +276,42 @@ impl Engine for RaysEngine<'_> {
     }
 }
 
-/// Makes rays engines over clouds that share one [`DiceMap`]: the bounces of a baked cloud.
+/// Rays against clouds that share one [`DiceMap`]: the bounces of a baked cloud.
 #[derive(Debug, Clone, Copy)]
-pub struct RaysFactory<'a> {
+pub struct CloudRays<'a> {
     /// Rays.
     pub tracer: &'a Tracer,
     /// The way from triangles to the surfels of every cloud asked for.
     pub dice: &'a DiceMap,
-    /// Rays a receiver.
+    /// Rays a receiver, in the last pass; before half of them.
     pub settings: RaysSettings,
 }
 
-impl EngineFactory for RaysFactory<'_> {
-    fn with_engine(&self, cloud: &SurfelCloud, work: &mut dyn FnMut(&dyn Engine)) {
+impl<'a> CloudRays<'a> {
+    /// The engine that reads `cloud`.
+    pub fn engine(&self, cloud: &'a SurfelCloud, pass: Pass) -> RaysEngine<'a> {
         let source = RadianceSource::Baked(DicedSurfels::new(cloud, self.dice, None));
-        work(&RaysEngine::new(self.tracer, Some(source), self.settings));
+        let rays = match pass {
+            Pass::Early => self.settings.rays.div_ceil(2),
+            Pass::Last => self.settings.rays,
+        };
+        let settings = RaysSettings {
+            rays,
+            ..self.settings
+        };
+        RaysEngine::new(self.tracer, Some(source), settings)
+    }
+}
+
+impl CloudGather for CloudRays<'_> {
+    fn irradiance(
+        &self,
+        cloud: &SurfelCloud,
+        receivers: &Receivers,
+        pass: Pass,
+        diagnostics: &Diagnostics,
+    ) -> Result<Vec<Vec3>, Cancelled> {
+        super::irradiance(&self.engine(cloud, pass), receivers, diagnostics)
     }
 }
 

@@ -1,6 +1,7 @@
-//! Surfels, octree, bounces, gather and error estimate of one frame.
+//! Surfels, octree, gather and error estimate of one frame.
 
 use super::Error;
+use super::bounces::bounced;
 use super::choice::{self, Chosen, Found};
 use super::gloss;
 use super::interpolated::InterpolatedMethod;
@@ -12,11 +13,11 @@ use super::spacing::{self, Asked};
 use super::stand::Stand;
 use super::world::World;
 use crate::bake::{self, BakeSettings, Baked};
-use crate::bounce::{BounceClouds, Bounces, CoarseCloud};
+use crate::bounce::Bounces;
 use crate::diagnostics::Diagnostics;
 use crate::gather::{
     self, DicedSurfels, GatherScene, HitLight, LoadedCloud, RadianceSource, RaysEngine,
-    RaysFactory, RaysSettings, Reference,
+    RaysSettings, Reference,
 };
 use crate::lighting::{LightSamples, Lighting};
 use crate::pilot::Method;
@@ -361,27 +362,13 @@ pub(super) fn light(
     let settings = job.bake_settings(receivers.len());
     let baked = dice(world, &settings, (&mut *report, diagnostics))?;
     report.set("spacing", f64::from(baked.cloud.spacing));
-    bounce(world, baked, job, (report, diagnostics))
+    bounced(world, baked, job, (report, diagnostics))
 }
 
 /// True if some of `aovs` holds light that surfaces reflect.
 pub(super) fn needs_surfels(world: &World<'_>, aovs: &[Aov], job: &GatherJob) -> bool {
     let shines = !world.lighting.is_dark() || !job.clouds.is_empty();
     shines && job.bounces != Bounces::Count(0) && aovs.iter().any(|aov| aov.needs_indirect())
-}
-
-/// `baked` after all reflections but the last.
-pub(super) fn bounce(
-    world: &World<'_>,
-    baked: Baked,
-    job: &GatherJob,
-    run: (&mut Report, &Diagnostics),
-) -> Result<Light, Error> {
-    if job.bounces.is_at_most_once() {
-        return Ok(Light::Baked(Box::new(baked)));
-    }
-    let cloud = bounced(world, &baked, job, run)?;
-    Ok(Light::Baked(Box::new(Baked { cloud, ..baked })))
 }
 
 /// Dice and light the world, with fewer light samples than receivers get: errors of many surfels average out.
@@ -401,52 +388,6 @@ pub(super) fn dice(
         )
     })?;
     Ok(baked)
-}
-
-/// Surfels of the cloud that bounces are computed on: light after two reflections is smooth. PBGI §8.3.
-const BOUNCE_SURFELS: usize = 20_000;
-
-/// Rays a surfel for bounces: the errors of many surfels average out at a receiver.
-const BOUNCE_RAYS: u32 = 256;
-
-/// `baked` after `job.bounces` reflections, computed on a coarser cloud where that saves work.
-fn bounced(
-    world: &World<'_>,
-    baked: &Baked,
-    job: &GatherJob,
-    (report, diagnostics): (&mut Report, &Diagnostics),
-) -> Result<SurfelCloud, Error> {
-    let coarse_settings = BakeSettings {
-        spacing: None,
-        surfels: BOUNCE_SURFELS,
-        every_light: false,
-    };
-    let coarse = (baked.cloud.len() > 2 * BOUNCE_SURFELS)
-        .then(|| dice(world, &coarse_settings, (&mut *report, diagnostics)))
-        .transpose()?;
-    let settings = RaysSettings {
-        rays: BOUNCE_RAYS.min(job.rays),
-        max_distance: job.max_distance,
-        ..RaysSettings::default()
-    };
-    let dice = coarse.as_ref().map_or(&baked.dice, |coarse| &coarse.dice);
-    let factory = RaysFactory {
-        tracer: &world.tracer,
-        dice,
-        settings,
-    };
-    let clouds = BounceClouds {
-        fine: &baked.cloud,
-        coarse: coarse.as_ref().map(|baked| CoarseCloud {
-            baked,
-            tracer: &world.tracer,
-        }),
-    };
-    let (cloud, count) = timed(&mut report.seconds.gather, || {
-        crate::bounce::bounce(clouds, &factory, job.bounces, diagnostics)
-    })?;
-    report.set("bounces", count);
-    Ok(cloud)
 }
 
 /// Record the settings of `job` as resolved.

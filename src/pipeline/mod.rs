@@ -1,6 +1,7 @@
 //! `run(Job)`: the steps in order; the only module that knows them all.
 
 mod bake;
+mod bounces;
 mod choice;
 mod convert;
 mod gather;

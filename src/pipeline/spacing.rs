@@ -8,7 +8,8 @@ mod hits;
 mod pairs;
 
 use super::Error;
-use super::gather::{Light, bounce, light, needs_surfels};
+use super::bounces::bounced;
+use super::gather::{Light, light, needs_surfels};
 use super::job::{EngineChoice, GatherJob};
 use super::report::Report;
 use super::world::World;
@@ -178,7 +179,7 @@ pub(super) fn lit(
         report.dicings.insert(aovs.to_vec(), dicing);
     }
     Ok(Lit {
-        light: bounce(world, climbed.baked, job, (report, diagnostics))?,
+        light: bounced(world, climbed.baked, job, (report, diagnostics))?,
         errors: ladder.aovs.iter().copied().zip(climbed.errors).collect(),
         relit: climbed.relit,
         judging: climbed.judging,
