@@ -94,10 +94,10 @@ impl RaysSettings {
 /// Turn of [`RaysSettings::again`]: 0.08 off the nearest of the first five multiples of 1/√2.
 const AGAIN: f32 = 0.33;
 
-/// Rays between two looks at whether the run was cancelled, a fraction of a second, unless that is fewer receivers than
-/// gain from looking together.
+/// Rays between two looks at whether the run was cancelled, a fraction of a second; four times as many where those are of
+/// fewer receivers than gain from looking together.
 const RAYS_A_BLOCK: usize = 1 << 18;
-const LEAST_A_BLOCK: usize = 16;
+const TOGETHER: usize = 16;
 
 /// Sees the scene by rays.
 #[derive(Debug)]
@@ -264,7 +264,8 @@ impl Engine for RaysEngine<'_> {
     }
 
     fn block_size(&self) -> usize {
-        (RAYS_A_BLOCK / self.pattern.rays()).max(LEAST_A_BLOCK)
+        let rays = self.pattern.rays();
+        (RAYS_A_BLOCK / rays).max((4 * RAYS_A_BLOCK / rays).min(TOGETHER))
     }
 
     fn tells_distances(&self) -> bool {

@@ -8,7 +8,7 @@ use super::maps::{MapsKnobs, MapsMethod, Promise};
 use super::report::{Report, timed};
 use super::stand::Stand;
 use super::world::World;
-use crate::diagnostics::Diagnostics;
+use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::maps::{self, MapsSettings};
 use crate::gather::{self, GatherScene, RaysSettings};
 use crate::interpolate::{self, Gathering, InterpolateSettings};
@@ -345,6 +345,33 @@ fn interpolates(stand: &Stand<'_>) -> bool {
     stand.job.interpolate && !matches!(stand.part, Part::Cone(_)) && pays
 }
 
+/// Share of `stand`'s receivers that so many rays, which hold the tolerance, will see for, where receivers may speak for each
+/// other.
+fn foreseen(
+    stand: &Stand<'_>,
+    (rays, tolerance): (u32, f64),
+    diagnostics: &Diagnostics,
+) -> Result<Option<f64>, Cancelled> {
+    if !interpolates(stand) {
+        return Ok(None);
+    }
+    let fewer = rays.min(FORESEEING_RAYS);
+    let gathering = Gathering {
+        scene: stand.scene(),
+        engine: &stand.rays_with(stand.rays_settings(fewer)),
+        again: None,
+        receivers: stand.receivers,
+        kinds: None,
+        aovs: stand.aovs,
+    };
+    let settings = InterpolateSettings {
+        // Noise asks for seeds too: as much of it beside the tolerance as in the run.
+        tolerance: tolerance * pilot::errors_with_rays(fewer, rays),
+        refusals: 0,
+    };
+    interpolate::foresee(gathering, settings, diagnostics)
+}
+
 /// Let a pilot look at `stand`'s receivers.
 pub(super) fn look(
     stand: &Stand<'_>,
@@ -372,27 +399,7 @@ pub(super) fn look(
         };
         Box::new(stand.rays_with(settings)) as Box<dyn Method>
     };
-    let share = |count: u32| {
-        if !interpolates(stand) {
-            return Ok(None);
-        }
-        let fewer = count.min(FORESEEING_RAYS);
-        let settings = stand.rays_settings(fewer);
-        let gathering = Gathering {
-            scene: stand.scene(),
-            engine: &stand.rays_with(settings),
-            again: None,
-            receivers: stand.receivers,
-            kinds: None,
-            aovs: stand.aovs,
-        };
-        let settings = InterpolateSettings {
-            // Noise asks for seeds too: as much of it beside the tolerance as in the run.
-            tolerance: tolerance * pilot::errors_with_rays(fewer, count),
-            refusals: 0,
-        };
-        interpolate::foresee(gathering, settings, diagnostics)
-    };
+    let share = |count: u32| foreseen(stand, (count, tolerance), diagnostics);
     let is_sky = !stand.needs_rays() && stand.aovs.iter().any(|&aov| maps::supports(aov));
     let pilot = Pilot {
         scenes: LightScenes {
