@@ -13,7 +13,7 @@ use super::light::{self, LightError};
 use super::{Candidate, Maps, Method, Outcome, Pick, Pilot, Trial};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::estimate::spread;
-use crate::gather::maps;
+use crate::gather::maps::{self, MapsSettings};
 use crate::gather::{ErrorEstimate, GatherScene};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
@@ -66,8 +66,8 @@ const APART: f64 = 2.0;
 const BLENDING: f64 = 1.7e-6;
 const DOUBT: f64 = 1.5;
 
-/// Processor seconds of a run that are too few to find out whether receivers speak for each other.
-const SOON: f64 = 0.5;
+/// Processor seconds of maps that are too few to find out whether rays at few receivers take less.
+const SOON: f64 = 1.0;
 
 /// Receivers that tell whether a candidate's cost is worth a closer look.
 const GLANCE: usize = 16;
@@ -285,9 +285,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             let seen = judge.rays * (ratio / AIM).powf(1.0 / LAW);
             *rays = (*rays * grown).max(seen).min(judge.rays);
         }
-        let is_long = self.run_seconds(judge.seconds_per_receiver) > SOON;
-        let by_maps = matches!(self.pilot.maps, Maps::IfCheaper(..));
-        if is_long && by_maps && self.aovs.iter().any(|one| one.is_sky) {
+        if self.by_maps(judge.rays) > SOON && self.aovs.iter().any(|one| one.is_sky) {
             self.share = (self.pilot.share)(round(judge.rays))?;
         }
         let mut best = Best {
@@ -323,6 +321,18 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
 
     fn run_seconds(&self, seconds_per_receiver: f64) -> f64 {
         seconds_per_receiver * self.pilot.receivers.len() as f64
+    }
+
+    /// Processor seconds that maps will probably take where so many `rays` do; 0 where they may not.
+    fn by_maps(&self, rays: f64) -> f64 {
+        let Maps::IfCheaper(plan, _) = self.pilot.maps else {
+            return 0.0;
+        };
+        let settings = MapsSettings {
+            directions: round(rays),
+            ..MapsSettings::SMOOTH
+        };
+        maps::seconds(plan, self.pilot.receivers.len(), &settings)
     }
 
     /// [`Self::run_seconds`] of rays, fewer where receivers speak for each other.
