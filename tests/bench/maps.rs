@@ -51,15 +51,15 @@ fn plan(bencher: Bencher<'_, '_>) {
         .bench_local(|| MapsPlan::new(&scene).edge());
 }
 
-/// One direction: next to nothing is drawn.
+/// One direction: next to nothing is drawn. A plan keeps what was thinned.
 #[divan::bench(sample_count = 5, sample_size = 1)]
 fn decimate(bencher: Bencher<'_, '_>) {
     let scene = ball(DENSE);
     let one = dense::vertices(&scene).subset(&[0]);
-    let plan = MapsPlan::new(&scene);
     bencher
         .counter(ItemsCount::new(scene.triangle_count()))
-        .bench_local(|| see(&plan, &one, &smooth(1)));
+        .with_inputs(|| MapsPlan::new(&scene))
+        .bench_local_refs(|plan| see(plan, &one, &smooth(1)));
 }
 
 /// All triangles at a pixel an edge, no decimation, one receiver.
