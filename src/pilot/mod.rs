@@ -1,7 +1,7 @@
 //! [`Receivers`] × tolerance → the cheapest [`Candidate`] that meets it on this very scene.
 //!
 //! A few receivers spread over the run are gathered at with few rays, then more, until the error's law tells how many
-//! the tolerance needs; then with four times as many, which is the reference: the chosen number and every other
+//! the tolerance needs; then with half as many again, which is the reference: the chosen number and every other
 //! candidate that promises to be cheaper are judged by it, its own error taken out. Errors do not depend on the
 //! machine, costs do: two machines may choose different engines, never different errors beyond the tolerance.
 
