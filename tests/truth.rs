@@ -191,23 +191,37 @@ for ours, layer in ((direct, 'direct'), (indirect, 'ind1')):
     errors[layer] = np.sqrt(((got - want) ** 2).mean()) / want.mean()
 print(json.dumps(errors))";
 
+/// Render the Cornell box to `image`; the report.
+fn render_box(truth: &Path, image: &Path, options: &[&str]) -> serde_json::Value {
+    let result = surflux()
+        .arg("render")
+        .arg(truth.join("scenes/cornell_spheres.usdc"))
+        .arg("-o")
+        .arg(image)
+        .args(["--usd", "native", "--json", "--quiet"])
+        .args(["--camera", "/World/cam"])
+        .args(options)
+        .output()
+        .expect("the program starts");
+    json(&result)
+}
+
 #[test]
 fn a_camera_sees_the_light_of_the_reference_image() {
     let Some(truth) = truth() else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let image = folder.path().join("out.exr");
-    let result = surflux()
-        .arg("render")
-        .arg(truth.join("scenes/cornell_spheres.usdc"))
-        .arg("-o")
-        .arg(&image)
-        .args(["--usd", "native", "--json", "--quiet"])
-        .args(["--camera", "/World/cam", "--image-width", "128"])
-        .args(["--pixel-samples", "4", "--rays", "512"])
-        .args(["--aov", "color,diffuse_direct,diffuse_indirect"])
-        .output()
-        .expect("the program starts");
-    println!("image: {}", json(&result)["seconds"]);
+    let aovs = "color,diffuse_direct,diffuse_indirect";
+    let options = [
+        "--image-width",
+        "128",
+        "--pixel-samples",
+        "4",
+        "--rays",
+        "512",
+    ];
+    let report = render_box(&truth, &image, &[&options[..], &["--aov", aovs]].concat());
+    println!("image: {}", report["seconds"]);
     let values = truth.join("values/cornell_spheres.image.exr");
     let paths: [OsString; 2] = [values.into(), image.into()];
     let compared = run_python(COMPARE_IMAGE, &paths);
@@ -236,17 +250,9 @@ fn where_every_pixel_looks_for_itself_clusters_are_tried_and_the_tolerance_is_ke
     let folder = tempfile::tempdir().expect("a folder");
     let render = |name: &str, options: &[&str]| {
         let image = folder.path().join(name);
-        let result = surflux()
-            .arg("render")
-            .arg(truth.join("scenes/cornell_spheres.usdc"))
-            .arg("-o")
-            .arg(&image)
-            .args(["--usd", "native", "--json", "--quiet"])
-            .args(["--image-width", "384", "--aov", "irradiance_indirect"])
-            .args(options)
-            .output()
-            .expect("the program starts");
-        (OsString::from(image), json(&result))
+        let usual = ["--image-width", "384", "--aov", "irradiance_indirect"];
+        let report = render_box(&truth, &image, &[&usual[..], options].concat());
+        (OsString::from(image), report)
     };
     let options = ["--tolerance", "0.03", "--interpolate", "never"];
     let (ours, report) = render("ours.exr", &options);

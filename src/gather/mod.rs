@@ -183,32 +183,29 @@ pub fn gather(
     let mut results = empty_results(aovs, receivers.len());
     let order = (work.gains_from_neighbors(engine))
         .then(|| neighbors::order(&receivers.position, &receivers.normal));
-    split(
-        &mut results,
-        receivers.len(),
-        block_size(engine, receivers.len()),
-    )
-    .into_par_iter()
-    .try_for_each_init(Hemisphere::default, |scratch, mut block| {
-        diagnostics.check()?;
-        let count = block.range.len();
-        if let Some(order) = &order {
-            let places = &order[block.range];
-            let block_receivers = receivers.subset(places);
-            block.range = 0..count;
-            let placed = Placed {
-                engine,
-                receivers,
-                places,
-            };
-            let engine = if is_surveyed { &placed } else { engine };
-            work.fill(engine, &block_receivers, &mut block, scratch);
-        } else {
-            work.fill(engine, receivers, &mut block, scratch);
-        }
-        phase.advance(count as u64);
-        Ok(())
-    })?;
+    let size = block_size(engine, receivers.len());
+    split(&mut results, receivers.len(), size)
+        .into_par_iter()
+        .try_for_each_init(Hemisphere::default, |scratch, mut block| {
+            diagnostics.check()?;
+            let count = block.range.len();
+            if let Some(order) = &order {
+                let places = &order[block.range];
+                let block_receivers = receivers.subset(places);
+                block.range = 0..count;
+                let placed = Placed {
+                    engine,
+                    receivers,
+                    places,
+                };
+                let engine = if is_surveyed { &placed } else { engine };
+                work.fill(engine, &block_receivers, &mut block, scratch);
+            } else {
+                work.fill(engine, receivers, &mut block, scratch);
+            }
+            phase.advance(count as u64);
+            Ok(())
+        })?;
     if let Some(order) = order {
         for buffer in &mut results.buffers {
             buffer.data = neighbors::undo(&order, &buffer.data, buffer.aov.components());

@@ -175,35 +175,31 @@ impl<'a> Stand<'a> {
     }
 
     /// Maps with these knobs, and rays for the rest.
-    pub(super) fn maps(&self, knobs: &MapsKnobs, promise: Option<Promise>) -> MapsMethod<'_> {
+    pub(super) fn maps<'s>(
+        &'s self,
+        knobs: &MapsKnobs,
+        promise: Option<Promise>,
+    ) -> MapsMethod<'s> {
         // Whoever is handed over asks for the sky alone: rays that need not know what they hit are faster.
-        let settings = self.rays_settings(knobs.handed_over);
         let of_sky = |settings| RaysEngine::new(&self.world.tracer, None, settings);
-        let rays = knobs.others;
+        let of_light = |settings| self.rays_with(settings);
         let tolerance = self.job.tolerance.filter(|_| self.job.interpolate);
-        let others: Box<dyn Method + '_> = match tolerance {
-            Some(tolerance) => {
-                let promise = promise.clone();
-                Box::new(InterpolatedMethod::new(self, rays, (tolerance, 0), promise))
+        let seen = |rays: u32, speak: bool, engine: &dyn Fn(RaysSettings) -> RaysEngine<'s>| {
+            let settings = self.rays_settings(rays);
+            match tolerance.filter(|_| speak) {
+                Some(tolerance) => {
+                    let engines = [settings, settings.again()].map(engine);
+                    let promise = promise.clone();
+                    let method = InterpolatedMethod::between(engines, (tolerance, 0), promise);
+                    Box::new(method) as Box<dyn Method + 's>
+                }
+                None => Box::new(engine(settings)),
             }
-            None => Box::new(self.rays_with(self.rays_settings(rays))),
-        };
-        let instead: Box<dyn Method + '_> = match tolerance.filter(|_| knobs.few_see) {
-            Some(tolerance) => {
-                let engines = [settings, settings.again()].map(of_sky);
-                let promise = promise.clone();
-                Box::new(InterpolatedMethod::between(
-                    engines,
-                    (tolerance, 0),
-                    promise,
-                ))
-            }
-            None => Box::new(of_sky(settings)),
         };
         let rays = Rays {
-            handed_over: of_sky(settings),
-            instead,
-            others,
+            handed_over: of_sky(self.rays_settings(knobs.handed_over)),
+            instead: seen(knobs.handed_over, knobs.few_see, &of_sky),
+            others: seen(knobs.others, true, &of_light),
         };
         MapsMethod::new((self.maps_plan(), knobs), rays, promise)
     }
