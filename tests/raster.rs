@@ -59,6 +59,11 @@ impl<'a> Fixture<'a> {
         }
     }
 
+    /// What rays read, hits that are near lit by `near`.
+    fn surfels<'b>(&'b self, near: Option<HitLight<'b>>) -> DicedSurfels<'b> {
+        DicedSurfels::new(&self.baked.cloud, &self.baked.dice, near)
+    }
+
     fn gather(&self, engine: &dyn Engine, receivers: &Receivers) -> Vec<f64> {
         let diagnostics = Diagnostics::default();
         let shader = Shader::new(self.scene, &diagnostics);
@@ -79,13 +84,12 @@ impl<'a> Fixture<'a> {
             raster_resolution: resolution,
             max_distance: None,
         };
-        let engine = RasterEngine::new(&self.octree, &self.tracer, &self.baked.dice, settings);
+        let engine = RasterEngine::new(&self.octree, &self.tracer, self.surfels(None), settings);
         self.gather(&engine, receivers)
     }
 
     fn rays(&self, receivers: &Receivers, rays: u32) -> Vec<f64> {
-        let source =
-            RadianceSource::Baked(DicedSurfels::new(&self.baked.cloud, &self.baked.dice, None));
+        let source = RadianceSource::Baked(self.surfels(None));
         let settings = RaysSettings {
             rays,
             turn: 0.3,
@@ -309,8 +313,12 @@ fn no_borders_are_seen_between_receivers_that_share_their_work() {
         raster_resolution: 12,
         max_distance: None,
     };
-    let (tracer, dice) = (&fixture.tracer, &fixture.baked.dice);
-    let engine = RasterEngine::new(&fixture.octree, tracer, dice, settings);
+    let engine = RasterEngine::new(
+        &fixture.octree,
+        &fixture.tracer,
+        fixture.surfels(None),
+        settings,
+    );
     // Blocks that know nothing of each other do have borders.
     let mut alone = vec![0.0; receivers.len()];
     for start in (0..receivers.len()).step_by(64) {
@@ -345,7 +353,7 @@ fn dark_surfels_that_receivers_touch_are_lit_anew() {
     let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
     let (tracer, dice) = (&fixture.tracer, &fixture.baked.dice);
     let light = HitLight::new(&shader, tracer, &lighting, dice);
-    let source = RadianceSource::Baked(DicedSurfels::new(&fixture.baked.cloud, dice, light));
+    let source = RadianceSource::Baked(fixture.surfels(light));
     let settings = RaysSettings {
         rays: 4096,
         turn: 0.3,
@@ -358,7 +366,7 @@ fn dark_surfels_that_receivers_touch_are_lit_anew() {
         raster_resolution: 32,
         ..RasterSettings::default()
     };
-    let engine = RasterEngine::new(&fixture.octree, tracer, dice, settings).with_near_light(light);
+    let engine = RasterEngine::new(&fixture.octree, tracer, fixture.surfels(light), settings);
     let values = fixture.gather(&engine, &receivers);
     let lit = truth.iter().filter(|&&value| value > 0.0).count();
     let error = relative_rmse(&values, &truth);
@@ -389,7 +397,7 @@ fn what_is_too_far_does_not_light() {
     let engine = RasterEngine::new(
         &fixture.octree,
         &fixture.tracer,
-        &fixture.baked.dice,
+        fixture.surfels(None),
         settings,
     );
     let values = fixture.gather(&engine, &receivers);

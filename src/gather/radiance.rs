@@ -115,6 +115,11 @@ impl<'a> DicedSurfels<'a> {
         }
     }
 
+    /// Which of them covers which part of a triangle.
+    pub(super) fn dice(&self) -> &'a DiceMap {
+        self.dice
+    }
+
     /// What lights hits too near for surfels.
     pub fn near(&self) -> Option<HitLight<'a>> {
         self.near

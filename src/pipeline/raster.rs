@@ -4,7 +4,7 @@ use super::gather::Light;
 use super::report::Report;
 use super::stand::Stand;
 use crate::diagnostics::{Cancelled, Diagnostics};
-use crate::gather::{self, GatherScene, RasterEngine, RasterSettings, RaysEngine};
+use crate::gather::{self, DicedSurfels, GatherScene, RasterEngine, RasterSettings, RaysEngine};
 use crate::pilot::Method;
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
@@ -42,8 +42,8 @@ impl<'a> RasterMethod<'a> {
         let engine = match stand.light() {
             Light::Baked(baked) => {
                 let (octree, tracer) = (stand.octree(), &stand.world().tracer);
-                let engine = RasterEngine::new(octree, tracer, &baked.dice, settings);
-                Some(engine.with_near_light(stand.near_light()))
+                let surfels = DicedSurfels::new(&baked.cloud, &baked.dice, stand.near_light());
+                Some(RasterEngine::new(octree, tracer, surfels, settings))
             }
             Light::None | Light::Loaded(_) => None,
         };

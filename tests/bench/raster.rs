@@ -91,8 +91,9 @@ fn compare(scene: &Scene, surfels: usize, width: usize) {
     let octree = Octree::new(&baked.cloud);
     let all = receivers(scene, &tracer, width);
     println!("{} surfels, {} receivers", baked.cloud.len(), all.len());
+    let diced = DicedSurfels::new(&baked.cloud, &baked.dice, None);
     let rays = |rays, turn| {
-        let source = RadianceSource::Baked(DicedSurfels::new(&baked.cloud, &baked.dice, None));
+        let source = RadianceSource::Baked(diced.clone());
         let settings = RaysSettings {
             rays,
             turn,
@@ -120,7 +121,7 @@ fn compare(scene: &Scene, surfels: usize, width: usize) {
             raster_resolution,
             max_distance: None,
         };
-        let engine = RasterEngine::new(&octree, &tracer, &baked.dice, settings);
+        let engine = RasterEngine::new(&octree, &tracer, diced.clone(), settings);
         let name = format!("raster {max_solid_angle} {raster_resolution}");
         engines.push((name, Box::new(engine)));
     }

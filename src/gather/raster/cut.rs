@@ -47,7 +47,7 @@ pub(super) struct Cut {
     pub(super) doubtful: Vec<Area>,
     pub(super) doubts: Vec<Doubt>,
     pub(super) close: Vec<Close>,
-    /// Surfels by their place in leaf order, and bits of the receivers of the core that they are near to.
+    /// Surfels by their place in leaf order, and bits of the members that they are near to.
     pub(super) near: Vec<(u32, u64)>,
 }
 
@@ -108,7 +108,7 @@ impl Cutter<'_> {
         let kind = node.kind();
         let is_small = solid_angle <= knobs.max_solid_angle;
         if sight == Sight::Unknown && is_outside && solid_angle <= knobs.max_asked {
-            let surfels = engine.surfels[index].clone();
+            let surfels = engine.below[index].clone();
             let mean = node.reflected_power.element_sum() / (PI * node.area);
             let answers = probe::ask(engine, group, (&surfels, mean), (knobs.rays, None));
             sight = match (answers.verdict(), is_small) {
@@ -172,7 +172,7 @@ impl Cutter<'_> {
         let (position, normal, radius) =
             (surfels.position(i), surfels.normal(i), surfels.radius(i));
         let is_dark = surfels.reflected(i) == Vec3::ZERO;
-        if (is_dark && engine.near_light.is_none())
+        if (is_dark && engine.surfels.near().is_none())
             || !group.is_above(position, normal, (radius, 0.0))
             || !group.is_faced_by(position, normal, radius)
         {
@@ -220,13 +220,13 @@ impl Cutter<'_> {
             reach,
         };
         let is_near = |&i: &usize| self.group.is_near(i, &disk);
-        let core = (0..self.group.core).filter(is_near);
-        let core = core.fold(0, |mask, i| mask | 1 << i);
-        if core != 0 {
-            self.cut.near.push((place, core));
+        let near = (0..self.group.len()).filter(is_near);
+        let near = near.fold(0, |mask, i| mask | 1 << i);
+        if near == 0 {
+            return None;
         }
-        let anyone = core != 0 || (self.group.core..self.group.len()).any(|i| is_near(&i));
-        anyone.then_some(disk)
+        self.cut.near.push((place, near));
+        Some(disk)
     }
 }
 
@@ -235,7 +235,7 @@ impl Cutter<'_> {
 #[inline(always)]
 fn is_lit_anew(engine: &RasterEngine<'_>, squared: f32, radius: f32) -> bool {
     let reach = radius * (1.0 + engine.knobs.near_radii);
-    engine.near_light.is_some() && squared < reach * reach
+    engine.surfels.near().is_some() && squared < reach * reach
 }
 
 /// True if nothing of `node` is seen by any receiver.

@@ -1,21 +1,23 @@
-//! Receivers that share a cut.
+//! Receivers of a window that stand for all of it, and share a cut.
 
-use super::windows::{MOST, Window};
-use crate::math::{Bounds3, Frame};
+use super::windows::Window;
+use crate::math::Bounds3;
 use crate::receivers::Receivers;
 use crate::trace::Tracer;
 use glam::Vec3;
 
-/// Most receivers of the core of a group.
-pub(super) const CORE: usize = 64;
+/// Most members of a group: one in each of so many cells across the window, as many along each side.
+pub(super) const MOST: usize = SIDE * SIDE;
+const SIDE: usize = 7;
+
+/// Boxes around all of a window, as many along each side of it.
+const BOXES: usize = BOX_SIDE * BOX_SIDE;
+const BOX_SIDE: usize = 4;
 
 /// Share of its radius that an element rises over a horizon before it counts as above: rounding lifts coplanar ones.
 const RISE: f32 = 1e-4;
 
 const LANES: usize = 16;
-
-/// Rows of the largest group.
-const ROWS: usize = MOST / LANES;
 
 /// A surfel, and what is near to it.
 #[derive(Debug, Clone, Copy)]
@@ -27,9 +29,11 @@ pub(super) struct Disk {
     pub(super) reach: f32,
 }
 
-/// The members of a [`Window`].
+/// Members of a [`Window`] that are spread over it, at most [`MOST`].
 #[derive(Debug)]
 pub(super) struct Group {
+    /// Their places in the window.
+    pub(super) picked: Vec<usize>,
     pub(super) positions: Vec<Vec3>,
     pub(super) normals: Vec<Vec3>,
     /// Where rays start, but for [`Self::start`].
@@ -37,16 +41,14 @@ pub(super) struct Group {
     /// How far they are lifted there.
     lifts: Vec<f32>,
     pub(super) center: Vec3,
-    /// Of a ball about `center` around all positions.
+    /// Of a ball about `center` around all of the window.
     pub(super) radius: f32,
-    /// Places across the mean normal, about `center`, in units of `radius`.
+    /// Places as [`Window::across`] has them.
     pub(super) across: Vec<[f32; 2]>,
-    /// The first of them are the core, at most [`CORE`].
-    pub(super) core: usize,
     /// Positions and normals by component, the last receiver repeated.
     rows: Vec<Row>,
-    /// Boxes around the rows: lower and upper corner by component, the last one repeated.
-    boxes: [[[f32; ROWS]; 3]; 2],
+    /// Boxes around all of the window: lower and upper corner by component, one of them repeated.
+    boxes: [[[f32; BOXES]; 3]; 2],
 }
 
 /// Some receivers by component.
@@ -57,33 +59,30 @@ struct Row {
 }
 
 impl Group {
-    /// The members of `window`, out of `receivers`.
+    /// Out of the members of `window`, which are some of `receivers`.
     pub(super) fn new(tracer: &Tracer, receivers: &Receivers, window: &Window) -> Self {
-        let members = &window.members;
+        let grid = Grid::around(&window.across);
+        let picked = grid.picks(&window.across);
+        let members: Vec<usize> = picked.iter().map(|&k| window.members[k]).collect();
         let pick = |column: &[Vec3]| -> Vec<Vec3> { members.iter().map(|&i| column[i]).collect() };
         let (positions, normals) = (pick(&receivers.position), pick(&receivers.normal));
         let lift = |&i: &usize| tracer.lift(receivers.position[i], receivers.rim_normal(i));
-        let center = window.center;
-        let distance = |p: &Vec3| p.distance(center);
-        let radius = positions.iter().map(distance).fold(0.0, f32::max);
-        let mean = normals.iter().sum::<Vec3>().normalize_or(normals[0]);
-        let frame = Frame::about(mean);
-        let across = |p: &Vec3| {
-            let offset = (*p - center) / radius.max(f32::MIN_POSITIVE);
-            [offset.dot(frame.tangent), offset.dot(frame.bitangent)]
-        };
         let rows = positions.chunks(LANES).zip(normals.chunks(LANES));
+        let rows = rows.map(|(places, normals)| Row::new(places, normals));
+        let mut boxes = [Bounds3::EMPTY; BOXES];
+        for (&i, &place) in window.members.iter().zip(&window.across) {
+            let own = &mut boxes[grid.cell(place, BOX_SIDE)];
+            *own = own.union(Bounds3::around([receivers.position[i]]));
+        }
         Self {
-            across: positions.iter().map(across).collect(),
+            across: picked.iter().map(|&k| window.across[k]).collect(),
             origins: members.iter().map(lift).collect(),
             lifts: positions.iter().map(|&p| tracer.lift_height(p)).collect(),
-            center,
-            radius,
-            core: window.core,
-            boxes: boxes(&positions),
-            rows: rows
-                .map(|(places, normals)| Row::new(places, normals))
-                .collect(),
+            center: window.center,
+            radius: window.radius,
+            boxes: by_component(&boxes),
+            rows: rows.collect(),
+            picked,
             positions,
             normals,
         }
@@ -99,13 +98,13 @@ impl Group {
         self.positions.len()
     }
 
-    /// Squared distance of `point` from the nearest receiver; a little less where rows of them have gaps.
+    /// Squared distance of `point` from the nearest receiver of the window; a little less where they have gaps.
     #[inline(always)]
     pub(super) fn nearest_squared(&self, point: Vec3) -> f32 {
-        let mut squared = [0.0_f32; ROWS];
+        let mut squared = [0.0_f32; BOXES];
         let [lower, upper] = &self.boxes;
         for (axis, x) in point.to_array().into_iter().enumerate() {
-            for lane in 0..ROWS {
+            for lane in 0..BOXES {
                 let below = lower[axis][lane] - x;
                 let above = x - upper[axis][lane];
                 let out = if below > above { below } else { above };
@@ -190,13 +189,70 @@ impl Row {
     }
 }
 
-/// Boxes around rows of `positions`.
-fn boxes(positions: &[Vec3]) -> [[[f32; ROWS]; 3]; 2] {
-    let around = |row: &[Vec3]| Bounds3::around(row.iter().copied());
-    let rows: Vec<Bounds3> = positions.chunks(LANES).map(around).collect();
-    let last = rows.len() - 1;
+/// Corners of `boxes` by component, an empty one as some other.
+fn by_component(boxes: &[Bounds3; BOXES]) -> [[[f32; BOXES]; 3]; 2] {
+    let some = boxes.iter().find(|bounds| !bounds.is_empty());
+    let filled = boxes.map(|bounds| match some {
+        Some(&other) if bounds.is_empty() => other,
+        _ => bounds,
+    });
     let corner = |of: fn(&Bounds3) -> Vec3| {
-        [0, 1, 2].map(|axis| std::array::from_fn(|i| of(&rows[i.min(last)])[axis]))
+        [0, 1, 2].map(|axis| std::array::from_fn(|i| of(&filled[i])[axis]))
     };
-    [corner(|row| row.min), corner(|row| row.max)]
+    [corner(|bounds| bounds.min), corner(|bounds| bounds.max)]
+}
+
+/// Cells across a window.
+struct Grid {
+    min: [f32; 2],
+    size: [f32; 2],
+}
+
+impl Grid {
+    fn around(across: &[[f32; 2]]) -> Self {
+        let along = |axis: usize| across.iter().map(move |place| place[axis]);
+        let least = |axis| along(axis).fold(f32::INFINITY, f32::min);
+        let most = |axis| along(axis).fold(f32::NEG_INFINITY, f32::max);
+        let min = [least(0), least(1)];
+        Self {
+            min,
+            size: [most(0) - min[0], most(1) - min[1]].map(|size| size.max(f32::MIN_POSITIVE)),
+        }
+    }
+
+    /// Column or row of `place` along `axis`, of `side` of them, with a fraction.
+    fn steps(&self, place: [f32; 2], side: usize) -> [f32; 2] {
+        [0, 1].map(|axis| (place[axis] - self.min[axis]) / self.size[axis] * side as f32)
+    }
+
+    /// The cell of `place`, of `side`².
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "rounded down on purpose, at least 0"
+    )]
+    fn cell(&self, place: [f32; 2], side: usize) -> usize {
+        let [column, row] = self
+            .steps(place, side)
+            .map(|step| (step as usize).min(side - 1));
+        column + side * row
+    }
+
+    /// Of all places those nearest to the middle of each cell, of [`MOST`].
+    fn picks(&self, across: &[[f32; 2]]) -> Vec<usize> {
+        let mut nearest: [Option<(f32, usize)>; MOST] = [None; MOST];
+        for (k, &place) in across.iter().enumerate() {
+            let cell = self.cell(place, SIDE);
+            let [x, y] = self.steps(place, SIDE);
+            let (x, y) = (
+                x - (cell % SIDE) as f32 - 0.5,
+                y - (cell / SIDE) as f32 - 0.5,
+            );
+            let off = x * x + y * y;
+            if nearest[cell].is_none_or(|(known, _)| off < known) {
+                nearest[cell] = Some((off, k));
+            }
+        }
+        nearest.into_iter().flatten().map(|(_, k)| k).collect()
+    }
 }

@@ -1,16 +1,19 @@
-//! The fast gather of reflected light: one cut through the octree for a group of neighbors, areas instead of
+//! The fast gather of reflected light: one cut through the octree for a window full of neighbors, areas instead of
 //! directions. PBGI §6.1, modernized.
 //!
-//! Receivers that stand and look alike, and see each other, share a cut (`cut`). What the group sees of a cluster is found
-//! out by a few rays from its members to surfels of the cluster (`probe`), large clusters first: where they agree the whole
-//! cluster is seen or not, where they differ it is opened, and of what is small and still partly hidden more rays tell a share
-//! that changes evenly across the group (`doubt`). How much light a cluster sends to a receiver is then not sampled but
-//! computed, of parts of it that are smaller still, for each receiver from its own place (`transport`), so that sharing costs
-//! no parallax and errors are those of shadow borders alone. Surfels nearer than a few radii are seen by short rays in
-//! directions that all receivers share (`near`). All rays meet the scene's own geometry: nothing leaks through thin walls.
-//! Groups overlap, and what they tell of a receiver is averaged, so that no borders between them are seen (`windows`). They
-//! are small where things that cast shadows are near, and the smaller the finer the knobs: what neighbors may say for each
-//! other is a knob like the others.
+//! Receivers that stand and look alike, and see each other, share a window (`windows`), however many they are: what it costs is
+//! what some of them cost that are spread over it, the group, through whose light a smooth function goes that tells that of all
+//! others (`fit`). Where it does not fit the group itself, the window is cut in parts. The group shares a cut (`cut`). What it
+//! sees of a cluster is found out by a few rays from its members to surfels of the cluster (`probe`), large clusters first: where
+//! they agree the whole cluster is seen or not, where they differ it is opened, and of what is small and still partly hidden
+//! more rays tell a share that changes evenly across the group (`doubt`). How much light a cluster sends to a member is then not
+//! sampled but computed, of parts of it that are smaller still, for each member from its own place (`transport`), so that
+//! sharing costs no parallax and errors are those of shadow borders alone. Surfels nearer than a few radii are seen by short
+//! rays in directions that all members share (`near`). All rays meet the scene's own geometry: nothing leaks through thin walls.
+//!
+//! Windows overlap, and what they tell of a receiver is averaged, so that no borders between them are seen. They are small
+//! where things that cast shadows are near, and the smaller the finer the knobs: what neighbors may say for each other is a
+//! knob like the others. Receivers that have too few neighbors for that stand alone, and rays see for them.
 //!
 //! What lost, in a Cornell box with two balls, 105 472 surfels, pixels of a 256² picture, µs a receiver and error of the
 //! indirect irradiance:
@@ -24,6 +27,15 @@
 //! - an eighth of the solid angle for clusters that are not flat: no less of an error, 1.2 times the time;
 //! - two rays instead of four to ask whether a cluster is seen: 9.6 and 3.9 % instead of 12 and 2.2 %.
 //!
+//! And at 512² with AVX-512, 0.4 sr and a raster of 12 pixels (the box; two teapots; `examples/room.usda`), seconds of two
+//! cores and error:
+//! - groups of 64 neighbors and all their guests, each of which gets its own light: 2.5 and 1.7 %, 5.4 and 1.9, 4.6 and 3.1;
+//!   windows, small ones as such groups: 0.9 and 2.1 %, 3.6 and 3.0, 3.0 and 3.8; rays in place of small ones, 1.0 and 2.1, 1.9
+//!   and 3.0, 2.3 and 3.6. At 0.1 sr: 3.9 and 1.6 %, 8.1 and 1.7, 6.8 and 2.3, with rays 1.7 and 1.7 %, 2.8 and 2.0, 3.6 and 2.4;
+//! - rays alone where receivers stand alone, without what windows near by tell of them: a twentieth less of an error, and
+//!   borders that are seen;
+//! - groups of 25: 0.75 of the time, 1.2 times the error.
+//!
 //! And in an earlier form of it, with other errors on top:
 //! - blocked shares times the mean light of a cluster: 1 to 2 % too dark, since shadows of the light and what a receiver
 //!   does not see are behind the same things; the light of the surfels that rays reach, 0.1 to 0.5 %;
@@ -33,6 +45,7 @@
 
 mod cut;
 mod doubt;
+mod fit;
 mod group;
 mod near;
 mod probe;
@@ -40,19 +53,20 @@ mod transport;
 mod windows;
 
 use super::known::{KnownEngine, two_directions};
-use super::{Engine, Hemisphere, HitLight};
+use super::quantities::irradiance::indirect;
+use super::{DicedSurfels, Engine, Hemisphere, RadianceSource, RaysEngine, RaysSettings};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::octree::{NodeKind, Octree};
 use crate::receivers::Receivers;
-use crate::surfels::DiceMap;
 use crate::trace::Tracer;
 use fearless_simd::{Level, dispatch};
+use fit::Fit;
 use glam::Vec3;
 use group::Group;
 use rayon::prelude::*;
 use std::f32::consts::FRAC_1_PI;
 use std::ops::Range;
-use windows::{Sizes, Window, Windows};
+use windows::{Core, Sizes, Sorted, Window, Windows};
 
 /// How finely the engine looks.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,7 +74,7 @@ pub struct RasterSettings {
     /// Largest solid angle, sr, of a cluster that part of a group may see, from the nearest receiver of the group.
     pub max_solid_angle: f32,
     /// Three times the rays that ask whether a group sees a cluster, twice the square root of those that ask how much of
-    /// it, half of that of the directions to what is near; at least 1.
+    /// it, half of that of the directions to what is near, 0.7 of that of the rays of receivers that stand alone; at least 1.
     pub raster_resolution: u32,
     /// Nothing beyond this distance lights, stage units; `None` = no limit.
     pub max_distance: Option<f32>,
@@ -90,6 +104,8 @@ struct Knobs {
     /// Rays of a group to a cluster that is seen in part, if its light is as much as such clusters usually have.
     more_rays: f32,
     sizes: Sizes,
+    /// See [`MISFIT`], of the group's own light.
+    misfit: f32,
     max_distance: f32,
     /// Surfels closer than this many of their radii are near.
     near_radii: f32,
@@ -99,8 +115,9 @@ struct Knobs {
 /// ray 150. At 0.2 sr and 4 rays, 16 more, a ratio of 2 errs by 2.5 %, of 4 by 2.0 %, of 10 by 1.9 %.
 const AREA_RATIO: f32 = 5.0;
 
-/// Largest solid angle of what light is computed of, sr: with 0.08, one bounce in a box is 0.6 % too dark.
-const MAX_AREA: f32 = 0.04;
+/// Largest solid angle of what light is computed of, sr: with 0.08, one bounce in a box is 0.6 % too dark; with 0.04 it is so by
+/// 0.9 % in `examples/room.usda`, in as much time.
+const MAX_AREA: f32 = 0.02;
 
 /// Surfels count as points: the finer clusters are, the farther are those that do.
 const NEAR_ANGLE: f32 = 0.03;
@@ -114,6 +131,21 @@ const ASKED_RATIO: f32 = 5.0;
 /// Radius of the largest group over that of its smallest cluster, half the scene's diagonal away. What the group sees of it
 /// is taken to change evenly from one end of the group to the other.
 const GROUP_RATIO: f32 = 0.5;
+
+/// What members of a group see may be this far off what is told of them, rms over their mean, times the root of the largest
+/// solid angle: else the group is too large.
+const MISFIT: f32 = 0.016;
+
+/// Rays of a receiver that stands alone: so many, and twice as many as a raster has pixels.
+const RAYS_ALONE: u32 = 144;
+
+/// Weight of the windows that a receiver which stands alone is a guest of from which on it believes these: what members at
+/// the edge of a core have. Less of it and it believes its own rays the more.
+const BELIEVED: f32 = 0.17;
+
+/// Rays that find out how much room there is, for a raster of three pixels a side, and at most.
+const ROOM_RAYS: u32 = 1;
+const MOST_ROOM_RAYS: u32 = 256;
 
 /// Radius of a core over that of its smallest cluster as far away as what is seen there, in the harmonic mean.
 const ROOM_RATIO: f32 = 1.5;
@@ -138,7 +170,9 @@ impl Knobs {
             sizes: Sizes {
                 max_radius: GROUP_RATIO * cluster * away,
                 max_share: ROOM_RATIO * cluster,
+                probes: (ROOM_RAYS * (resolution / 3).pow(2)).clamp(16, MOST_ROOM_RAYS),
             },
+            misfit: MISFIT * max_solid_angle.sqrt(),
             max_distance: settings.max_distance.unwrap_or(f32::INFINITY),
             near_radii: cut::NEAR_RADII * (NEAR_ANGLE / max_solid_angle).sqrt().clamp(1.0, 4.0),
         }
@@ -153,10 +187,11 @@ impl Knobs {
 pub struct RasterEngine<'a> {
     octree: &'a Octree,
     tracer: &'a Tracer,
-    dice: &'a DiceMap,
-    near_light: Option<HitLight<'a>>,
+    surfels: DicedSurfels<'a>,
+    /// Sees for receivers that stand alone.
+    rays: RaysEngine<'a>,
     /// Surfels below each node, in leaf order.
-    surfels: Vec<Range<u32>>,
+    below: Vec<Range<u32>>,
     /// How far parts of each node rise from the plane through its center across its normal.
     heights: Vec<f32>,
     /// Place in leaf order of each surfel of the cloud.
@@ -168,44 +203,43 @@ pub struct RasterEngine<'a> {
 }
 
 impl<'a> RasterEngine<'a> {
-    /// An engine over `octree`, which is that of the cloud that `dice` numbers, diced from the scene of `tracer`.
+    /// An engine over `octree`, which is that of the cloud of `surfels`, diced from the scene of `tracer`.
     ///
     /// # Panics
-    /// If the octree does not hold as many surfels as `dice` numbers.
+    /// If the octree does not hold as many surfels as there are.
     pub fn new(
         octree: &'a Octree,
         tracer: &'a Tracer,
-        dice: &'a DiceMap,
+        surfels: DicedSurfels<'a>,
         settings: RasterSettings,
     ) -> Self {
-        let surfels = octree.surfels();
-        assert_eq!(surfels.len(), dice.surfel_count(), "surfels of one cloud");
-        let mut place = vec![0; surfels.len()];
-        for (leaf_place, i) in (0..).zip(0..surfels.len()) {
-            place[surfels.id(i) as usize] = leaf_place;
+        let leaves = octree.surfels();
+        let count = surfels.dice().surfel_count();
+        assert_eq!(leaves.len(), count, "surfels of one cloud");
+        let mut place = vec![0; leaves.len()];
+        for (leaf_place, i) in (0..).zip(0..leaves.len()) {
+            place[leaves.id(i) as usize] = leaf_place;
         }
-        let surfels = surfels_of_nodes(octree);
+        let below = surfels_of_nodes(octree);
+        let resolution = settings.raster_resolution.max(1);
+        let source = RadianceSource::Baked(surfels.clone());
+        let alone = RaysSettings {
+            rays: RAYS_ALONE.saturating_add(resolution.saturating_pow(2).saturating_mul(2)),
+            max_distance: settings.max_distance,
+            ..RaysSettings::default()
+        };
         Self {
             octree,
             tracer,
-            dice,
-            near_light: None,
-            heights: heights(octree, &surfels),
             surfels,
+            rays: RaysEngine::new(tracer, Some(source), alone),
+            heights: heights(octree, &below),
+            below,
             place,
-            targets: probe::Targets::new(octree.surfels()),
+            targets: probe::Targets::new(leaves),
             knobs: Knobs::of(settings, octree),
-            directions: near::Directions::new(settings.raster_resolution.max(1)),
+            directions: near::Directions::new(resolution),
             level: Level::new(),
-        }
-    }
-
-    /// The same, but hits nearer than surfels can tell are lit anew, as rays do. `light` knows no bounces.
-    #[must_use]
-    pub fn with_near_light(self, light: Option<HitLight<'a>>) -> Self {
-        Self {
-            near_light: light,
-            ..self
         }
     }
 
@@ -215,38 +249,91 @@ impl<'a> RasterEngine<'a> {
         receivers: &Receivers,
         diagnostics: &Diagnostics,
     ) -> Result<Vec<Vec3>, Cancelled> {
-        let windows = Windows::new(self.tracer, receivers, self.knobs.sizes);
-        let mut near = vec![Vec3::ZERO; receivers.len()];
-        let mut far = vec![(Vec3::ZERO, 0.0_f32); receivers.len()];
+        let (windows, mut alone) = Windows::new(self.tracer, receivers, self.knobs.sizes);
+        let mut sums = vec![(Vec3::ZERO, 0.0_f32); receivers.len()];
         let phase = diagnostics.phase("survey", "receivers", receivers.len() as u64);
-        let all: Vec<usize> = (0..windows.len()).collect();
-        for batch in all.chunks(BATCH) {
-            let look = |&index: &usize| {
-                diagnostics.check()?;
-                let window = windows.window(index);
-                let light = self.look(&Group::new(self.tracer, receivers, &window));
-                phase.advance(window.core as u64);
-                Ok((window, light))
-            };
-            let seen: Vec<(Window, Light)> =
-                batch.par_iter().map(look).collect::<Result<_, _>>()?;
-            for (window, light) in seen {
-                for (&i, light) in window.members.iter().zip(light.near) {
-                    near[i] = light;
-                }
-                for ((&i, weight), light) in
-                    window.members.iter().zip(window.weights).zip(light.far)
-                {
-                    far[i].0 += light * weight;
-                    far[i].1 += weight;
+        let mut cores = windows.cores().to_vec();
+        while !cores.is_empty() {
+            let mut smaller = Vec::new();
+            for batch in cores.chunks(BATCH) {
+                let look = |core: &Core| {
+                    diagnostics.check()?;
+                    let looked = self.look(receivers, (&windows, core));
+                    if let Looked::Told(window, _) = &looked {
+                        phase.advance(window.core as u64);
+                    }
+                    Ok(looked)
+                };
+                let looked: Vec<Looked> = batch.par_iter().map(look).collect::<Result<_, _>>()?;
+                for looked in looked {
+                    match looked {
+                        Looked::Told(window, light) => window.add(&light, &mut sums),
+                        Looked::Split(sorted) => {
+                            smaller.extend(sorted.cores);
+                            alone.extend(sorted.alone);
+                        }
+                    }
                 }
             }
+            cores = smaller;
         }
-        let sum = |(near, (far, weight)): (Vec3, (Vec3, f32))| near + far / weight;
-        Ok(near.into_iter().zip(far).map(sum).collect())
+        let by_rays = self.by_rays(receivers, &alone, diagnostics)?;
+        phase.advance(alone.len() as u64);
+        for (i, own) in alone.into_iter().zip(by_rays) {
+            let (sum, all) = &mut sums[i];
+            let more = (BELIEVED - *all).max(0.0);
+            *sum += own * more;
+            *all += more;
+        }
+        Ok(sums.into_iter().map(|(sum, all)| sum / all).collect())
     }
 
-    fn look(&self, group: &Group) -> Light {
+    /// Irradiance of those of `receivers` that stand `alone`.
+    fn by_rays(
+        &self,
+        receivers: &Receivers,
+        alone: &[usize],
+        diagnostics: &Diagnostics,
+    ) -> Result<Vec<Vec3>, Cancelled> {
+        let few = receivers.subset(alone);
+        let mut light = vec![Vec3::ZERO; few.len()];
+        let see = |(block, light): (usize, &mut [Vec3])| {
+            diagnostics.check()?;
+            let start = block * ALONE;
+            let mut hemisphere = Hemisphere::default();
+            let range = start..start + light.len();
+            (self.rays).see(&few, range, &mut hemisphere, &mut |i, seen| {
+                light[i - start] = indirect(seen);
+            });
+            Ok(())
+        };
+        (light.par_chunks_mut(ALONE).enumerate()).try_for_each(see)?;
+        Ok(light)
+    }
+
+    /// What the window about a core receives, told by some of its members, or its parts if these do not tell it.
+    fn look(&self, receivers: &Receivers, (windows, core): (&Windows, &Core)) -> Looked {
+        let window = windows.window(core);
+        let group = Group::new(self.tracer, receivers, &window);
+        let light = self.light(&group);
+        let fit = Fit::through(&group.across, &light);
+        let [mut off, mut sum, mut all] = [0.0_f32; 3];
+        for ((&member, &place), light) in group.picked.iter().zip(&group.across).zip(&light) {
+            let weight = window.weights[member];
+            off += weight * (fit.at(place) - *light).element_sum().powi(2);
+            sum += weight * light.element_sum();
+            all += weight;
+        }
+        if (off / all).sqrt() > self.knobs.misfit * sum / all {
+            return Looked::Split(windows.split(core));
+        }
+        let told = |&place: &[f32; 2]| fit.at(place).max(Vec3::ZERO);
+        let light = window.across.iter().map(told).collect();
+        Looked::Told(window, light)
+    }
+
+    /// Irradiance of the members of `group`.
+    fn light(&self, group: &Group) -> Vec<Vec3> {
         let cut = dispatch!(self.level, simd => {
             let _ = simd;
             cut::find(self, group)
@@ -258,24 +345,40 @@ impl<'a> RasterEngine<'a> {
                 transport::irradiance(group, areas, max_distance)
             })
         };
-        let mut far = seen(&cut.seen);
-        doubt::add(self, group, &cut, &seen, &mut far);
-        Light {
-            near: near::irradiance(self, group, &cut.near),
-            far,
+        let mut light = seen(&cut.seen);
+        doubt::add(self, group, &cut, &seen, &mut light);
+        let near = near::irradiance(self, group, &cut.near);
+        light
+            .iter_mut()
+            .zip(near)
+            .for_each(|(light, near)| *light += near);
+        light
+    }
+}
+
+impl Window {
+    /// Adds the `light` of its members, by their weights, to `sums` over all receivers, and the weights.
+    fn add(&self, light: &[Vec3], sums: &mut [(Vec3, f32)]) {
+        for ((&i, &weight), &light) in self.members.iter().zip(&self.weights).zip(light) {
+            sums[i].0 += light * weight;
+            sums[i].1 += weight;
         }
     }
 }
 
-/// What members of a group receive.
-struct Light {
-    /// Of surfels near to them; only the core.
-    near: Vec<Vec3>,
-    far: Vec<Vec3>,
+/// What came of looking at a window.
+enum Looked {
+    /// Irradiance of its members.
+    Told(Window, Vec<Vec3>),
+    /// Its core's parts.
+    Split(Sorted),
 }
 
 /// Windows that are looked at before their light is added up, in their order.
-const BATCH: usize = 4096;
+const BATCH: usize = 1024;
+
+/// Receivers that stand alone and are seen for together.
+const ALONE: usize = 64;
 
 /// Surfels below each node.
 fn surfels_of_nodes(octree: &Octree) -> Vec<Range<u32>> {

@@ -5,7 +5,7 @@
 //! if that is near to its receiver. Nothing counts twice, and nothing is left out.
 
 use super::RasterEngine;
-use super::group::{CORE, Group};
+use super::group::{Group, MOST};
 use crate::gather::radiance::surfel_of;
 use crate::math::bits::bits_of;
 use crate::math::sequence;
@@ -38,14 +38,14 @@ impl Directions {
     }
 }
 
-/// Irradiance of each receiver of the core of `group` from the surfels that are `near` to it: places in leaf order and
+/// Irradiance of each member of `group` from the surfels that are `near` to it: places in leaf order and
 /// receivers.
 pub(super) fn irradiance(
     engine: &RasterEngine<'_>,
     group: &Group,
     near: &[(u32, u64)],
 ) -> Vec<Vec3> {
-    let mut sums = vec![Vec3::ZERO; group.core];
+    let mut sums = vec![Vec3::ZERO; group.len()];
     if near.is_empty() {
         return sums;
     }
@@ -54,27 +54,27 @@ pub(super) fn irradiance(
     let (asking, reach) = who_asks(engine, group, &near);
     let reach = reach.min(engine.knobs.max_distance);
     let surfels = engine.octree.surfels();
-    let mut hits = [None; CORE];
-    let mut starts = [Vec3::ZERO; CORE];
+    let mut hits = [None; MOST];
+    let mut starts = [Vec3::ZERO; MOST];
     for (&direction, &asking) in engine.directions.0.iter().zip(&asking) {
         if asking == 0 {
             continue;
         }
-        let starts = &mut starts[..group.core];
+        let starts = &mut starts[..group.len()];
         for (i, start) in starts.iter_mut().enumerate() {
             *start = group.start(i, direction);
         }
         (engine.tracer).closest_along(direction, starts, (reach, asking), &mut hits);
         for i in bits_of(asking) {
             let Some(hit) = hits[i] else { continue };
-            let id = surfel_of(engine.dice, &hit);
+            let id = surfel_of(engine.surfels.dice(), &hit);
             let Some(place) = id.map(|id| engine.place[id as usize]) else {
                 continue;
             };
             let found = near.binary_search_by_key(&place, |&(place, _)| place);
             if found.is_ok_and(|k| near[k].1 >> i & 1 == 1) {
                 let radius = surfels.radius(place as usize);
-                let anew = (engine.near_light).filter(|light| light.is_near(&hit, radius));
+                let anew = (engine.surfels.near()).filter(|light| light.is_near(&hit, radius));
                 let light = anew.map(|light| light.reflected(&hit));
                 let light = light.unwrap_or(surfels.reflected(place as usize));
                 sums[i] += light * group.normals[i].dot(direction);

@@ -236,13 +236,19 @@ mod tests {
                 ..disk(random.vector() * 3.0, Vec3::Y, 0.1)
             })
             .collect();
-        let receivers = receivers_at(&[(Vec3::ZERO, Vec3::Y), (Vec3::X * 0.1, Vec3::Y)]);
+        let places: Vec<_> = (0..64_u8)
+            .map(|i| Vec3::new(f32::from(i % 8), 0.0, f32::from(i / 8)) * 0.02)
+            .map(|place| (place, Vec3::Y))
+            .collect();
+        let receivers = receivers_at(&places);
         let tracer = Tracer::new(&crate::trace::testing::scene(Vec::new(), &[]));
         let sizes = Sizes {
             max_radius: 1.0,
             max_share: 1.0,
+            probes: 16,
         };
-        let window = Windows::new(&tracer, &receivers, sizes).window(0);
+        let (windows, _) = Windows::new(&tracer, &receivers, sizes);
+        let window = windows.window(&windows.cores()[0]);
         let group = Group::new(&tracer, &receivers, &window);
         let wide = dispatch!(Level::new(), simd => {
             let _ = simd;
