@@ -311,21 +311,25 @@ pub fn neighbors(receivers: &Receivers) -> Vec<usize> {
     neighbors::order(&receivers.position, &receivers.normal)
 }
 
-/// Receivers that tell what some of them see where neighbors share work: as many as share it, and as many again around.
+/// Receivers that tell what some of them see where neighbors share work: as many as do so in a run, if there are enough for
+/// that, and at least and at most.
+const ONE_GROUP_OF: usize = 640;
 pub(crate) const GROUP: usize = 2 * BLOCK;
+const LARGEST_GROUP: usize = 16 * GROUP;
 
-/// The groups of 128 neighbors, cut from [`neighbors`], that have any of `picks` in them: indices of all their members
-/// among `receivers`, whole groups in order, and where among these each of `picks` is.
+/// The groups of neighbors, cut from [`neighbors`], that have any of `picks` in them, each a 640th of all, of 128 to 2048:
+/// indices of all their members among `receivers`, whole groups in order, and where among these each of `picks` is.
 pub fn groups(receivers: &Receivers, picks: &[usize]) -> (Vec<usize>, Vec<usize>) {
+    let size = (receivers.len() / ONE_GROUP_OF).clamp(GROUP, LARGEST_GROUP);
     let order = neighbors(receivers);
     let mut place_of = vec![0; order.len()];
     for (place, &i) in order.iter().enumerate() {
         place_of[i] = place;
     }
-    let mut groups: Vec<usize> = picks.iter().map(|&i| place_of[i] / GROUP).collect();
+    let mut groups: Vec<usize> = picks.iter().map(|&i| place_of[i] / size).collect();
     groups.sort_unstable();
     groups.dedup();
-    let members = |group: &usize| group * GROUP..((group + 1) * GROUP).min(order.len());
+    let members = |group: &usize| group * size..((group + 1) * size).min(order.len());
     let all: Vec<usize> = groups.iter().flat_map(members).collect();
     let place = |&i: &usize| all.partition_point(|&place| place < place_of[i]);
     let places = picks.iter().map(place).collect();

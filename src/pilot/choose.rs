@@ -427,18 +427,19 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         let method = (candidate.make)();
         let preparation = start.seconds();
         let glance = if candidate.sees_groups {
-            self.look(method.as_ref(), &self.crowd)?
+            self.glanced(method.as_ref())?
         } else {
             let some = spread(self.few.len(), GLANCE.min(self.few.len()));
-            self.look(method.as_ref(), &self.few.subset(&some))?
+            let look = self.look(method.as_ref(), &self.few.subset(&some))?;
+            look.seconds_per_receiver
         };
         let mut trial = Trial {
             engine: candidate.engine,
             knobs: candidate.knobs.clone(),
-            seconds_per_receiver: glance.seconds_per_receiver,
+            seconds_per_receiver: glance,
             error_over_tolerance: None,
         };
-        if preparation + self.run_seconds(glance.seconds_per_receiver) >= best {
+        if preparation + self.run_seconds(glance) >= best {
             self.trials.push(trial);
             return Ok(None);
         }

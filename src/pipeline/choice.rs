@@ -269,10 +269,10 @@ const FEW: f64 = 0.5;
 const FEWEST_RAYS: u32 = 16;
 
 /// Settings of the raster engine that a pilot tries: solid angle and resolution.
-const TRIED_RASTER_KNOBS: [(f32, u32); 3] = [(0.4, 12), (0.1, 12), (0.1, 24)];
+const TRIED_RASTER_KNOBS: [(f32, u32); 3] = [(0.4, 12), (0.05, 12), (0.05, 16)];
 
-/// Receivers of a run that a pilot looks at the raster engine for, at least: it looks at 48 groups of 128 neighbors. Where
-/// receivers speak for each other rays are cheaper, in all scenes of the README.
+/// Receivers of a run that a pilot looks at the raster engine for, at least: it looks at 48 groups of neighbors. Where
+/// receivers speak for each other rays are cheaper, in most scenes of the README.
 const RASTER_RECEIVERS: usize = 1 << 17;
 
 /// Everything but rays that can do the job, settings of one engine next to each other, cheap ones first.

@@ -11,7 +11,7 @@ use crate::results::{Aov, Results};
 
 /// Settings that a sweep shows, cheap ones first: solid angle and resolution.
 pub(super) const RASTER_KNOBS: [(f32, u32); 5] =
-    [(0.4, 6), (0.4, 12), (0.2, 12), (0.1, 12), (0.1, 24)];
+    [(0.4, 8), (0.4, 12), (0.1, 12), (0.05, 16), (0.02, 24)];
 
 /// Rays that judge where no pilot has.
 pub(super) const REFERENCE_RAYS: u32 = 1024;

@@ -26,10 +26,10 @@ use surflux::trace::Tracer;
 
 /// Solid angle and resolution.
 const KNOBS: [(f32, u32); 6] = [
-    (0.4, 6),
+    (0.4, 8),
     (0.2, 12),
     (0.1, 12),
-    (0.1, 24),
+    (0.02, 24),
     (0.03, 24),
     (0.03, 48),
 ];

@@ -6,8 +6,10 @@ use crate::gather::{self, estimate::spread};
 use crate::pilot::{Candidate, Method, check};
 use crate::receivers::Receivers;
 
-/// Groups looked at, each around another one of the pilot's receivers: 6144 receivers of the run.
+/// Groups looked at, each around another one of the pilot's receivers: a thirteenth of the run's receivers; and those that a
+/// glance is for.
 const GROUPS: usize = 48;
+const FEW_GROUPS: usize = 6;
 
 /// Whole groups of neighbors.
 pub(super) struct Groups {
@@ -19,9 +21,9 @@ pub(super) struct Groups {
 }
 
 impl Groups {
-    /// The groups of some of `picks`, which are among `all`.
-    fn around(all: &Receivers, picks: &[usize]) -> Self {
-        let few = spread(picks.len(), GROUPS.min(picks.len()));
+    /// The groups of `count` of `picks`, which are among `all`.
+    fn around(all: &Receivers, picks: &[usize], count: usize) -> Self {
+        let few = spread(picks.len(), count.min(picks.len()));
         let chosen: Vec<usize> = few.iter().map(|&k| picks[k]).collect();
         let (members, places) = gather::groups(all, &chosen);
         Self {
@@ -33,6 +35,12 @@ impl Groups {
 }
 
 impl Bench<'_, '_, '_> {
+    /// Seconds a receiver of `method`, which sees groups, by few of them.
+    pub(super) fn glanced(&self, method: &dyn Method) -> Result<f64, Cancelled> {
+        let groups = Groups::around(self.pilot.receivers, &self.picks, FEW_GROUPS);
+        Ok(self.look(method, &groups.receivers)?.seconds_per_receiver)
+    }
+
     /// Seconds a receiver of `method` and its errors.
     pub(super) fn tried(
         &mut self,
@@ -46,7 +54,7 @@ impl Bench<'_, '_, '_> {
         }
         let groups = match self.groups.take() {
             Some(groups) => groups,
-            None => Groups::around(self.pilot.receivers, &self.picks),
+            None => Groups::around(self.pilot.receivers, &self.picks, GROUPS),
         };
         let look = self.look(method, &groups.receivers)?;
         let run = check::subset(&look.results, &groups.places);
@@ -75,7 +83,7 @@ mod tests {
             .collect();
         let all = receivers_at(&places);
         let picks = spread(all.len(), 200);
-        let groups = Groups::around(&all, &picks);
+        let groups = Groups::around(&all, &picks, GROUPS);
         assert!(groups.places.len() == GROUPS && groups.receivers.len() > 3_000);
         for (&k, &place) in groups.few.iter().zip(&groups.places) {
             assert_eq!(groups.receivers.position[place], all.position[picks[k]]);
