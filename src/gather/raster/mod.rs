@@ -136,16 +136,16 @@ const GROUP_RATIO: f32 = 0.5;
 /// solid angle: else the group is too large.
 const MISFIT: f32 = 0.016;
 
-/// Rays of a receiver that stands alone: so many, and twice as many as a raster has pixels.
+/// Rays of a receiver that stands alone: so many, and some a pixel of the raster.
 const RAYS_ALONE: u32 = 144;
+const RAYS_A_PIXEL: u32 = 2;
 
 /// Weight of the windows that a receiver which stands alone is a guest of from which on it believes these: what members at
 /// the edge of a core have. Less of it and it believes its own rays the more.
 const BELIEVED: f32 = 0.17;
 
-/// Rays that find out how much room there is, for a raster of three pixels a side, and at most.
-const ROOM_RAYS: u32 = 1;
-const MOST_ROOM_RAYS: u32 = 256;
+/// Rays that find out how much room there is, a ninth of the pixels of the raster: at least and at most.
+const ROOM_RAYS: [u32; 2] = [16, 256];
 
 /// Radius of a core over that of its smallest cluster as far away as what is seen there, in the harmonic mean.
 const ROOM_RATIO: f32 = 1.5;
@@ -170,7 +170,7 @@ impl Knobs {
             sizes: Sizes {
                 max_radius: GROUP_RATIO * cluster * away,
                 max_share: ROOM_RATIO * cluster,
-                probes: (ROOM_RAYS * (resolution / 3).pow(2)).clamp(16, MOST_ROOM_RAYS),
+                probes: ((resolution / 3).saturating_pow(2)).clamp(ROOM_RAYS[0], ROOM_RAYS[1]),
             },
             misfit: MISFIT * max_solid_angle.sqrt(),
             max_distance: settings.max_distance.unwrap_or(f32::INFINITY),
@@ -222,9 +222,10 @@ impl<'a> RasterEngine<'a> {
         }
         let below = surfels_of_nodes(octree);
         let resolution = settings.raster_resolution.max(1);
+        let pixels = resolution.saturating_pow(2);
         let source = RadianceSource::Baked(surfels.clone());
         let alone = RaysSettings {
-            rays: RAYS_ALONE.saturating_add(resolution.saturating_pow(2).saturating_mul(2)),
+            rays: RAYS_ALONE.saturating_add(pixels.saturating_mul(RAYS_A_PIXEL)),
             max_distance: settings.max_distance,
             ..RaysSettings::default()
         };
