@@ -53,7 +53,6 @@ mod transport;
 mod windows;
 
 use super::known::{KnownEngine, two_directions};
-use super::quantities::irradiance::indirect;
 use super::{DicedSurfels, Engine, Hemisphere, RadianceSource, RaysEngine, RaysSettings};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::octree::{NodeKind, Octree};
@@ -250,12 +249,15 @@ impl<'a> RasterEngine<'a> {
         receivers: &Receivers,
         diagnostics: &Diagnostics,
     ) -> Result<Vec<Vec3>, Cancelled> {
-        let (windows, mut alone) = Windows::new(self.tracer, receivers, self.knobs.sizes);
+        let (windows, sorted) = Windows::new(self.tracer, receivers, self.knobs.sizes);
+        let Sorted {
+            mut cores,
+            mut alone,
+        } = sorted;
         let mut sums = vec![(Vec3::ZERO, 0.0_f32); receivers.len()];
         let phase = diagnostics.phase("survey", "receivers", receivers.len() as u64);
-        let mut cores = windows.cores().to_vec();
         while !cores.is_empty() {
-            let mut smaller = Vec::new();
+            let mut parts = Sorted::default();
             for batch in cores.chunks(BATCH) {
                 let look = |core: &Core| {
                     diagnostics.check()?;
@@ -269,47 +271,24 @@ impl<'a> RasterEngine<'a> {
                 for looked in looked {
                     match looked {
                         Looked::Told(window, light) => window.add(&light, &mut sums),
-                        Looked::Split(sorted) => {
-                            smaller.extend(sorted.cores);
-                            alone.extend(sorted.alone);
-                        }
+                        Looked::Split(sorted) => parts.extend(sorted),
                     }
                 }
             }
-            cores = smaller;
+            cores = parts.cores;
+            alone.extend(parts.alone);
         }
-        let by_rays = self.by_rays(receivers, &alone, diagnostics)?;
-        phase.advance(alone.len() as u64);
+        drop(phase);
+        // The others believe their windows alone.
+        alone.retain(|&i| sums[i].1 < BELIEVED);
+        let by_rays = super::irradiance(&self.rays, &receivers.subset(&alone), diagnostics)?;
         for (i, own) in alone.into_iter().zip(by_rays) {
             let (sum, all) = &mut sums[i];
-            let more = (BELIEVED - *all).max(0.0);
+            let more = BELIEVED - *all;
             *sum += own * more;
             *all += more;
         }
         Ok(sums.into_iter().map(|(sum, all)| sum / all).collect())
-    }
-
-    /// Irradiance of those of `receivers` that stand `alone`.
-    fn by_rays(
-        &self,
-        receivers: &Receivers,
-        alone: &[usize],
-        diagnostics: &Diagnostics,
-    ) -> Result<Vec<Vec3>, Cancelled> {
-        let few = receivers.subset(alone);
-        let mut light = vec![Vec3::ZERO; few.len()];
-        let see = |(block, light): (usize, &mut [Vec3])| {
-            diagnostics.check()?;
-            let start = block * ALONE;
-            let mut hemisphere = Hemisphere::default();
-            let range = start..start + light.len();
-            (self.rays).see(&few, range, &mut hemisphere, &mut |i, seen| {
-                light[i - start] = indirect(seen);
-            });
-            Ok(())
-        };
-        (light.par_chunks_mut(ALONE).enumerate()).try_for_each(see)?;
-        Ok(light)
     }
 
     /// What the window about a core receives, told by some of its members, or its parts if these do not tell it.
@@ -377,9 +356,6 @@ enum Looked {
 
 /// Windows that are looked at before their light is added up, in their order.
 const BATCH: usize = 1024;
-
-/// Receivers that stand alone and are seen for together.
-const ALONE: usize = 64;
 
 /// Surfels below each node.
 fn surfels_of_nodes(octree: &Octree) -> Vec<Range<u32>> {

@@ -247,8 +247,8 @@ mod tests {
             max_share: 1.0,
             probes: 16,
         };
-        let (windows, _) = Windows::new(&tracer, &receivers, sizes);
-        let window = windows.window(&windows.cores()[0]);
+        let (windows, sorted) = Windows::new(&tracer, &receivers, sizes);
+        let window = windows.window(&sorted.cores[0]);
         let group = Group::new(&tracer, &receivers, &window);
         let wide = dispatch!(Level::new(), simd => {
             let _ = simd;

@@ -82,12 +82,19 @@ pub(super) struct Sorted {
     pub(super) alone: Vec<usize>,
 }
 
+impl Sorted {
+    /// Adds those of `more`.
+    pub(super) fn extend(&mut self, more: Self) {
+        self.cores.extend(more.cores);
+        self.alone.extend(more.alone);
+    }
+}
+
 /// All windows of a run.
 #[derive(Debug)]
 pub(super) struct Windows<'a> {
     tracer: &'a Tracer,
     receivers: &'a Receivers,
-    cores: Vec<Core>,
     /// Neighbors, all receivers together: members of cores, and others.
     packs: Vec<Vec<usize>>,
     /// Boxes around packs, around two of these, and so on to one box around all.
@@ -95,32 +102,28 @@ pub(super) struct Windows<'a> {
 }
 
 impl<'a> Windows<'a> {
-    /// Over all of `receivers`, and which of them are in none.
+    /// Over all of `receivers`, and these, sorted.
     pub(super) fn new(
         tracer: &'a Tracer,
         receivers: &'a Receivers,
         sizes: Sizes,
-    ) -> (Self, Vec<usize>) {
+    ) -> (Self, Sorted) {
         let order = neighbors::order(&receivers.position, &receivers.normal);
         let mut windows = Self {
             tracer,
             receivers,
-            cores: Vec::new(),
             packs: Vec::new(),
             boxes: Vec::new(),
         };
         let runs: Vec<Sorted> = (order.par_chunks(RUN))
             .map(|run| windows.sorted(run, sizes))
             .collect();
-        let mut alone = Vec::new();
+        let mut sorted = Sorted::default();
         for run in runs {
             let of_cores = run.cores.iter().map(|core| core.members.clone());
-            windows.packs.extend(of_cores);
-            windows
-                .packs
-                .extend(run.alone.chunks(FEWEST).map(<[_]>::to_vec));
-            windows.cores.extend(run.cores);
-            alone.extend(run.alone);
+            let others = run.alone.chunks(FEWEST).map(<[_]>::to_vec);
+            windows.packs.extend(of_cores.chain(others));
+            sorted.extend(run);
         }
         let around =
             |pack: &Vec<usize>| Bounds3::around(pack.iter().map(|&i| receivers.position[i]));
@@ -132,12 +135,7 @@ impl<'a> Windows<'a> {
             windows.boxes.push(std::mem::replace(&mut level, above));
         }
         windows.boxes.push(level);
-        (windows, alone)
-    }
-
-    /// What all windows are about.
-    pub(super) fn cores(&self) -> &[Core] {
-        &self.cores
+        (windows, sorted)
     }
 
     /// The window about `core`.
@@ -381,9 +379,9 @@ mod tests {
     #[test]
     fn every_receiver_is_in_one_core_of_neighbors_or_stands_alone() {
         let (tracer, receivers) = floor(false);
-        let (windows, alone) = Windows::new(&tracer, &receivers, SIZES);
+        let (windows, Sorted { cores, alone }) = Windows::new(&tracer, &receivers, SIZES);
         let mut seen = vec![0; receivers.len()];
-        for core in windows.cores() {
+        for core in &cores {
             let window = windows.window(core);
             assert!(window.core >= FEWEST);
             assert!(window.weights.iter().all(|&weight| weight > 0.0));
@@ -402,10 +400,10 @@ mod tests {
     fn few_receivers_stand_alone_and_so_do_the_parts_of_small_cores() {
         let (tracer, receivers) = floor(false);
         let few = receivers.subset(&(0..FEWEST - 1).collect::<Vec<_>>());
-        let (windows, alone) = Windows::new(&tracer, &few, SIZES);
-        assert!(windows.cores().is_empty() && alone.len() == FEWEST - 1);
-        let (windows, _) = Windows::new(&tracer, &receivers, SIZES);
-        for core in windows.cores() {
+        let (_, Sorted { cores, alone }) = Windows::new(&tracer, &few, SIZES);
+        assert!(cores.is_empty() && alone.len() == FEWEST - 1);
+        let (windows, sorted) = Windows::new(&tracer, &receivers, SIZES);
+        for core in &sorted.cores {
             let Sorted { cores, mut alone } = windows.split(core);
             alone.extend(cores.iter().flat_map(|core| &core.members));
             alone.sort_unstable();
@@ -419,8 +417,8 @@ mod tests {
     #[test]
     fn all_that_a_window_reaches_are_its_guests_and_the_last_ones_count_little() {
         let (tracer, receivers) = floor(false);
-        let (windows, _) = Windows::new(&tracer, &receivers, SIZES);
-        for core in windows.cores().iter().step_by(3) {
+        let (windows, sorted) = Windows::new(&tracer, &receivers, SIZES);
+        for core in sorted.cores.iter().step_by(3) {
             let window = windows.window(core);
             let distance = |i: &usize| receivers.position[*i].distance(window.center);
             let own = window.members[..window.core].iter().map(distance);
@@ -444,9 +442,9 @@ mod tests {
     #[test]
     fn nobody_shares_a_window_through_a_wall() {
         let (tracer, receivers) = floor(true);
-        let (windows, _) = Windows::new(&tracer, &receivers, SIZES);
+        let (windows, sorted) = Windows::new(&tracer, &receivers, SIZES);
         let mut together = 0;
-        for core in windows.cores() {
+        for core in &sorted.cores {
             let members = windows.window(core).members;
             let side = |i: &usize| receivers.position[*i].x > 0.0;
             assert!(members.iter().all(|i| side(i) == side(&members[0])));
@@ -463,9 +461,9 @@ mod tests {
             max_share: 0.2,
             probes: 64,
         };
-        let (windows, alone) = Windows::new(&tracer, &receivers, sizes);
+        let (_, Sorted { cores, alone }) = Windows::new(&tracer, &receivers, sizes);
         let is_near = |i: &usize| receivers.position[*i].x.abs() < 0.1;
-        let members = windows.cores().iter().flat_map(|core| &core.members);
+        let members = cores.iter().flat_map(|core| &core.members);
         let together = members.filter(|i| is_near(i)).count();
         let near = together + alone.iter().filter(|i| is_near(i)).count();
         assert!(
