@@ -16,6 +16,7 @@ use super::world::World;
 use crate::bake::Baked;
 use crate::diagnostics::Diagnostics;
 use crate::gather::HitLight;
+use crate::gather::estimate::spread;
 use crate::pilot::picks;
 use crate::receivers::Receivers;
 use crate::results::Aov;
@@ -23,6 +24,10 @@ use std::time::Instant;
 
 /// Share of the tolerance that surfels may use up; rays have 80 % of it left.
 const SHARE: f64 = 0.6;
+
+/// Where few receivers can't tell what surfels leave, at most one in so many of a run's does, and so many at most.
+const ONE_IN: usize = 128;
+const MANY: usize = 1024;
 
 /// Fewest surfels to aim at, and most: 16 million take about 1.5 GB.
 const FEWEST: usize = 4_000;
@@ -153,10 +158,13 @@ pub(super) fn lit(
     }
     let few = picks(receivers.len());
     let few: Vec<usize> = few.into_iter().step_by(2).collect();
+    let many = (receivers.len() / ONE_IN).clamp(few.len(), MANY);
+    let many = spread(receivers.len(), many);
     let ladder = Ladder {
         world,
         receivers: receivers.len(),
         few: &receivers.subset(&few),
+        many: &receivers.subset(&many),
         aovs: &[aovs, beside].concat(),
         bound: aovs.len(),
         job,
@@ -191,6 +199,8 @@ struct Ladder<'a> {
     /// How many the run has.
     receivers: usize,
     few: &'a Receivers,
+    /// More of them, for whom it hangs on few that see what others don't.
+    many: &'a Receivers,
     /// AOVs whose error is told.
     aovs: &'a [Aov],
     /// So many of them, the first, bind it.
