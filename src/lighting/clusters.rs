@@ -9,8 +9,10 @@
 use super::emitters::{EmissiveTriangle, front_normal};
 use super::form_factor::outline_irradiance;
 use super::panels::barycentrics;
+use super::pattern;
 use super::stand::Stand;
 use crate::math::{Bounds3, luminance};
+use crate::trace::{TOGETHER, Way};
 use glam::{DVec3, Vec2, Vec3};
 
 /// A cluster's radius over its distance below which it counts as a point: the error of that is of second order.
@@ -56,6 +58,8 @@ pub(super) struct Node {
     /// Cosine of the largest angle between a normal and the axis.
     pub(super) cone: f32,
     pub(super) power: f32,
+    /// Of particles: area of their disks over that of the ball's.
+    pub(super) coverage: f32,
     /// Mean emission over its luminance.
     pub(super) color: Vec3,
 }
@@ -110,15 +114,16 @@ impl Clusters {
         self.nodes.is_empty()
     }
 
-    /// Irradiance; rays go to the points that `squares` pick, a quarter of them if these agree.
-    pub(super) fn irradiance(&self, stand: &Stand<'_>, squares: &[Vec2]) -> Vec3 {
+    /// Irradiance; rays go to the points that `picks` pick, a quarter of them if these agree.
+    pub(super) fn irradiance(&self, stand: &Stand<'_>, picks: &[Vec2]) -> Vec3 {
         let parts = self.parts(stand);
-        visible(&parts, squares, |part, place| self.look(stand, part, place))
+        visible(&parts, stand, picks, |part, place| {
+            self.look(stand, part, place)
+        })
     }
 
-    /// What the point of `part` picked by `place` gives, over what it should give by its share, and how much is seen
-    /// of it, 0…1.
-    fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<(Vec3, f32)> {
+    /// See [`Look`].
+    fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<Look> {
         let (index, within) = pick(&self.sums, part, place.x);
         let source = &self.sources[index];
         let (u, v) = barycentrics(Vec2::new(within, place.y));
@@ -133,11 +138,10 @@ impl Clusters {
             return None;
         }
         let weight = cosine * leaving / offset.length_squared() * part.power / part.irradiance;
-        let visible = stand.sees_surface(target, direction, leaving);
-        weight.is_finite().then_some((
-            source.emission * (weight / luminance(source.emission)),
-            visible,
-        ))
+        weight.is_finite().then(|| Look {
+            weight: source.emission * (weight / luminance(source.emission)),
+            way: stand.way_to_surface(target, direction, leaving),
+        })
     }
 
     /// The parts that shine on the receiver, in order of their sources.
@@ -180,12 +184,21 @@ impl Clusters {
     }
 }
 
-/// Irradiance by `parts`: rays go to the points that `squares` pick, `look` tells what such a point of a part gives, over
-/// what it should give by its share, and how much is seen of it. A quarter of the rays if these agree.
+/// A point of a part of the emitters.
+pub(super) struct Look {
+    /// What it gives, over what it should give by its share.
+    pub(super) weight: Vec3,
+    /// To the receiver; `None` where its own surface hides it.
+    pub(super) way: Option<Way>,
+}
+
+/// Irradiance by `parts`: rays go to the points that `picks`, those of a quarter side by side and then the rest, pick, `look`
+/// finds such a point of a part. A quarter of the rays if these agree.
 pub(super) fn visible(
     parts: &[Part],
-    squares: &[Vec2],
-    look: impl Fn(&Part, Vec2) -> Option<(Vec3, f32)>,
+    stand: &Stand<'_>,
+    picks: &[Vec2],
+    look: impl Fn(&Part, Vec2) -> Option<Look>,
 ) -> Vec3 {
     let mut sum = 0.0;
     let sums: Vec<f32> = (parts.iter())
@@ -198,22 +211,35 @@ pub(super) fn visible(
         return Vec3::ZERO;
     }
     let unoccluded: Vec3 = parts.iter().map(|part| part.color * part.irradiance).sum();
-    let (mut all, mut lit) = (Vec3::ZERO, Vec3::ZERO);
-    let quarter = squares.len().div_ceil(4);
-    for (index, &square) in squares.iter().enumerate() {
-        if index == quarter && all != Vec3::ZERO && (lit == Vec3::ZERO || lit == all) {
-            break;
-        }
-        let pick = square.x * sum;
+    let picked = |pick: &Vec2| {
+        let place = pick.x * sum;
         let at = sums
-            .partition_point(|&sum| sum <= pick)
+            .partition_point(|&sum| sum <= place)
             .min(parts.len() - 1);
         let before = if at == 0 { 0.0 } else { sums[at - 1] };
-        let within = ((pick - before) / parts[at].irradiance).clamp(0.0, 1.0);
-        let place = Vec2::new(within, square.y);
-        if let Some((weight, visible)) = look(&parts[at], place) {
-            all += weight;
-            lit += weight * visible;
+        let within = ((place - before) / parts[at].irradiance).clamp(0.0, 1.0);
+        look(&parts[at], Vec2::new(within, pick.y))
+    };
+    let (mut all, mut lit) = (Vec3::ZERO, Vec3::ZERO);
+    let (quarter, rest) = picks.split_at(pattern::quarter_of(picks.len()));
+    for (part, is_first) in [(quarter, true), (rest, false)] {
+        if !is_first && all != Vec3::ZERO && (lit == Vec3::ZERO || lit == all) {
+            break;
+        }
+        for some in part.chunks(TOGETHER) {
+            let (mut weights, mut ways) = ([Vec3::ZERO; TOGETHER], [Way::NONE; TOGETHER]);
+            let mut count = 0;
+            for look in some.iter().filter_map(picked) {
+                all += look.weight;
+                if let Some(way) = look.way {
+                    (weights[count], ways[count]) = (look.weight, way);
+                    count += 1;
+                }
+            }
+            let open = stand.tracer.transmittances(&ways[..count]);
+            for (weight, open) in weights.iter().zip(open).take(count) {
+                lit += weight * open;
+            }
         }
     }
     let share = |lit: f32, all: f32| if all > 0.0 { lit / all } else { 0.0 };
@@ -458,6 +484,7 @@ impl Item for Source {
             axis,
             cone: sources.iter().map(cosine).fold(1.0, f32::min),
             power: power as f32,
+            coverage: 0.0,
             color: mean(&|s| s.emission * (s.power / luminance(s.emission))) / power as f32,
         }
     }
@@ -465,7 +492,7 @@ impl Item for Source {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{ShadePoint, pattern};
+    use super::super::ShadePoint;
     use super::*;
     use crate::scene::PrimId;
     use crate::trace::Tracer;
@@ -524,7 +551,7 @@ mod tests {
             assert!(parts < 3 * MOST_VISITS, "{parts}");
             let squared = x * x + 1.0;
             let truth = PI * 0.16 / squared / squared.sqrt();
-            let value = clusters.irradiance(&stand, &pattern::square(64));
+            let value = clusters.irradiance(&stand, &pattern::picks(64));
             let error = (value / (truth * Vec3::new(1.0, 2.0, 3.0)) - 1.0).abs();
             assert!(error.max_element() < 1e-3, "{x}: {value} {truth}");
         }

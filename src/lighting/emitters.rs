@@ -1,6 +1,7 @@
 //! Emissive surfaces: large plane ones in closed form, others of constant radiance as clusters, both with ray-traced
 //! visibility; textured ones sampled.
 
+use super::balls::{Ball, BallPatterns, Balls, shines_as_balls};
 use super::clusters::Clusters;
 use super::panels::{Panel, PanelBuilder};
 use super::particles::Particles;
@@ -44,6 +45,7 @@ pub(super) struct EmissiveTriangle {
 pub(super) struct Emitters {
     panels: Vec<Panel>,
     clusters: Clusters,
+    balls: Balls,
     particles: Particles,
     sampled: SampledEmitters,
 }
@@ -53,6 +55,8 @@ pub(super) struct Emitters {
 pub(super) struct EmitterPatterns {
     pub(super) hemisphere: Vec<Vec3>,
     pub(super) squares: Vec<Vec2>,
+    picks: Vec<Vec2>,
+    balls: BallPatterns,
 }
 
 impl EmitterPatterns {
@@ -61,6 +65,8 @@ impl EmitterPatterns {
         Self {
             hemisphere: pattern::hemisphere(rays),
             squares: pattern::square(rays),
+            picks: pattern::picks(rays),
+            balls: BallPatterns::new(rays),
         }
     }
 
@@ -75,10 +81,12 @@ impl EmitterPatterns {
 }
 
 impl Emitters {
-    /// Of `triangles` and `particles`, sets and factors on their radiance; linear in both.
+    /// Of `triangles`, `balls` and `particles`, sets and factors on their radiance; linear in all. `are_met`: rays of receivers
+    /// meet all balls.
     pub(super) fn new(
         shader: &Shader<'_>,
         triangles: Vec<EmissiveTriangle>,
+        (balls, are_met): (&[Ball], bool),
         particles: &[(&ParticleSet, Vec3)],
     ) -> Self {
         let (panels, rest) = if triangles.len() > MOST_JOINED {
@@ -94,6 +102,7 @@ impl Emitters {
         Self {
             panels,
             clusters: Clusters::new(&constant),
+            balls: Balls::new(shader.scene(), balls, are_met),
             particles: Particles::new(spheres),
             sampled: SampledEmitters::new(shader.scene(), &textured),
         }
@@ -103,6 +112,7 @@ impl Emitters {
     pub(super) fn is_empty(&self) -> bool {
         self.panels.is_empty()
             && self.clusters.is_empty()
+            && self.balls.is_empty()
             && self.particles.is_empty()
             && self.sampled.is_empty()
     }
@@ -131,10 +141,13 @@ impl Emitters {
             }
         }
         if !self.clusters.is_empty() {
-            sum += self.clusters.irradiance(&stand, &patterns.squares);
+            sum += self.clusters.irradiance(&stand, &patterns.picks);
+        }
+        if !self.balls.is_empty() {
+            sum += (self.balls).irradiance(&patterns.balls, shader.scene(), &stand);
         }
         if !self.particles.is_empty() {
-            sum += self.particles.irradiance(&stand, &patterns.squares);
+            sum += self.particles.irradiance(&stand, &patterns.picks);
         }
         if !self.sampled.is_empty() {
             sum += self.sampled.irradiance(shader, &stand, patterns.halves());
@@ -242,7 +255,7 @@ fn glowing_disks(set: &ParticleSet, factor: Vec3) -> impl Iterator<Item = Emissi
     })
 }
 
-/// All triangles that emit, in order of prims and triangles.
+/// All triangles that emit and are not part of a ball that does, in order of prims and triangles.
 pub(super) fn emissive_triangles(shader: &Shader<'_>) -> Vec<EmissiveTriangle> {
     let scene = shader.scene();
     let mut all = Vec::new();
@@ -250,6 +263,7 @@ pub(super) fn emissive_triangles(shader: &Shader<'_>) -> Vec<EmissiveTriangle> {
         let id = PrimId(index);
         let is_mirrored = prim.world_from_object.matrix3.determinant() < 0.0;
         let mesh = scene.mesh_of(prim);
+        let has_balls = shines_as_balls(shader, prim);
         for (t, triangle) in (0..mesh.triangles.len()).zip(0_u32..) {
             if !shader.may_emit(id, triangle) {
                 continue;
@@ -271,6 +285,9 @@ pub(super) fn emissive_triangles(shader: &Shader<'_>) -> Vec<EmissiveTriangle> {
                 footprint: area.sqrt(),
             };
             let is_constant = has_constant_emission(scene, id, t);
+            if is_constant && has_balls {
+                continue;
+            }
             let surface = shader.surface(&centroid);
             let emission = surface.emission * surface.opacity;
             if area > 0.0 && !(is_constant && emission == Vec3::ZERO) {
@@ -289,7 +306,7 @@ pub(super) fn emissive_triangles(shader: &Shader<'_>) -> Vec<EmissiveTriangle> {
 }
 
 /// True if triangle `t` of `prim` emits the same all over.
-fn has_constant_emission(scene: &Scene, prim: PrimId, t: usize) -> bool {
+pub(super) fn has_constant_emission(scene: &Scene, prim: PrimId, t: usize) -> bool {
     let prim = &scene.prims[prim.index()];
     let mesh = scene.mesh_of(prim);
     (prim.materials.of_face(mesh.triangle_faces[t])).is_some_and(|id| {

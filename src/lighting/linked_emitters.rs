@@ -1,5 +1,6 @@
 //! Emissive surfaces with the prims that they are linked to, those of mesh lights: each set of links has emitters of its own.
 
+use super::balls::{Ball, emissive_balls};
 use super::emitters::{EmissiveTriangle, EmitterPatterns, Emitters, emissive_triangles};
 use super::stand::Stand;
 use crate::scene::{LightKind, LightLinks, Linked};
@@ -24,32 +25,61 @@ struct Group {
     tracer: Option<Tracer>,
 }
 
+/// What emits, before it is made ready.
+#[derive(Debug, Default)]
+struct Sources {
+    triangles: Vec<EmissiveTriangle>,
+    balls: Vec<Ball>,
+}
+
+/// All of it, by links.
+#[derive(Debug, Default)]
+struct Sets {
+    free: Sources,
+    linked: Vec<(LightLinks, Sources)>,
+}
+
+impl Sets {
+    /// Those with these `links`.
+    fn of(&mut self, links: Option<&LightLinks>) -> &mut Sources {
+        let Some(links) = links.filter(|links| **links != LightLinks::default()) else {
+            return &mut self.free;
+        };
+        let known = self.linked.iter().position(|(known, _)| known == links);
+        let place = known.unwrap_or_else(|| {
+            self.linked.push((links.clone(), Sources::default()));
+            self.linked.len() - 1
+        });
+        &mut self.linked[place].1
+    }
+}
+
 impl LinkedEmitters {
     /// Find them; cost linear in the triangles of emissive materials. A hierarchy is built for each set of prims that alone
     /// blocks some of them.
     pub(super) fn new(shader: &Shader<'_>) -> Self {
-        let mut free = Vec::new();
-        let mut sets: Vec<(LightLinks, Vec<EmissiveTriangle>)> = Vec::new();
+        let mut sets = Sets::default();
         for triangle in emissive_triangles(shader) {
             let links = shader.emission_links(triangle.prim, triangle.triangle);
-            let Some(links) = links.filter(|links| **links != LightLinks::default()) else {
-                free.push(triangle);
-                continue;
-            };
-            match sets.iter_mut().find(|(known, _)| known == links) {
-                Some((_, triangles)) => triangles.push(triangle),
-                None => sets.push((links.clone(), vec![triangle])),
-            }
+            sets.of(links).triangles.push(triangle);
+        }
+        for ball in emissive_balls(shader) {
+            let links = shader.emission_links(ball.prim, ball.triangle);
+            sets.of(links).balls.push(ball);
         }
         let particles = shader.lights().filter_map(|light| match &light.kind {
             LightKind::Particles(set) => Some((&**set, light.radiance)),
             _ => None,
         });
-        let group = |(links, triangles): (LightLinks, _)| {
+        let emitters = |sources: Sources, are_met: bool, particles: &[_]| {
+            let balls = (&sources.balls[..], are_met);
+            Emitters::new(shader, sources.triangles, balls, particles)
+        };
+        let group = |(links, sources): (LightLinks, Sources)| {
             let (blockers, opacity) = (&links.blockers, shader.opacity());
             let is_blocked_by_some = *blockers != Linked::All;
             Group {
-                emitters: Emitters::new(shader, triangles, &[]),
+                emitters: emitters(sources, !is_blocked_by_some, &[]),
                 tracer: is_blocked_by_some.then(|| {
                     Tracer::among(shader.scene(), opacity, |prim| blockers.contains(prim))
                 }),
@@ -57,8 +87,8 @@ impl LinkedEmitters {
             }
         };
         Self {
-            free: Emitters::new(shader, free, &particles.collect::<Vec<_>>()),
-            groups: sets.into_iter().map(group).collect(),
+            free: emitters(sets.free, true, &particles.collect::<Vec<_>>()),
+            groups: sets.linked.into_iter().map(group).collect(),
         }
     }
 

@@ -1,6 +1,7 @@
 //! Light that comes straight from its source: UsdLux lights, the environment, emissive surfaces; with ray-traced
 //! shadows and without noise.
 
+mod balls;
 mod beacons;
 mod clusters;
 mod emitters;

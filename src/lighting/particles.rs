@@ -1,26 +1,91 @@
-//! Glowing particles (fire, sparks, an explosion of a million): spheres of constant radiance that hide nothing. A tree of
+//! Glowing particles (fire, sparks, an explosion of a million): spheres of constant radiance that hide nothing, if they come
+//! from a cloud, or what is behind them, if they are points of the stage. A tree of
 //! them gives the irradiance without occluders at a cost that grows with the logarithm of their number, and rays to
 //! particles picked by their share of it find how much of it is visible. PBGI §7.2.
 //!
 //! A cluster that is small as seen from the receiver and wholly above its horizon counts as one point; what is not, is
 //! opened, down to single particles. As [`super::clusters`], for sources that face every way.
 
-use super::clusters::{Item, MOST_VISITS, Node, POINT_LIKE, Part, grow, pick, visible};
+use super::balls::Ball;
+use super::clusters::{Item, Look, MOST_VISITS, Node, POINT_LIKE, Part, grow, pick, visible};
+use super::form_factor::cap_irradiance;
 use super::pattern;
 use super::stand::Stand;
 use crate::math::{Frame, luminance};
 use crate::scene::ParticleSet;
+use crate::trace::Way;
 use glam::{DVec3, Vec2, Vec3};
 use std::f32::consts::PI;
+
+/// Fewest particles of a crowd; disks of them over the one that holds it, at least; and sine of the angle about the middle under
+/// which that is seen, beyond which it is all around.
+const CROWD: u32 = 64;
+const CROWDED: f32 = 0.5;
+const WIDEST: f32 = 0.8;
+
+/// A cluster in which particles hide each other.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Crowd {
+    first: u32,
+    count: u32,
+    /// Unit vector to its middle, and the sine of the angle about that which holds it; `None`: it is all around.
+    pub(super) cone: Option<(Vec3, f32)>,
+    /// Luminance of what it gives, about.
+    pub(super) irradiance: f32,
+}
+
+impl Crowd {
+    /// True if this source is part of it.
+    pub(super) fn holds(&self, source: u32) -> bool {
+        source.wrapping_sub(self.first) < self.count
+    }
+}
 
 /// One sphere.
 #[derive(Debug, Clone, Copy)]
 struct Particle {
+    /// As it was given.
+    number: u32,
     center: Vec3,
     radius: f32,
+    /// Radius of what hides others, within which it is; 0 = nothing does.
+    shell: f32,
     radiance: Vec3,
     /// Luminance times the area of the disk that it is seen as: irradiance at distance 1, straight on.
     power: f32,
+}
+
+impl Particle {
+    /// `None` if it is dark.
+    fn new(number: u32, (center, radius, shell): (Vec3, f32, f32), radiance: Vec3) -> Option<Self> {
+        let power = luminance(radiance) * PI * radius * radius;
+        (power > 0.0 && power.is_finite()).then_some(Self {
+            number,
+            center,
+            radius,
+            shell,
+            radiance,
+            power,
+        })
+    }
+
+    /// Irradiance over power at a receiver with this `normal`, from where the center is at `offset`: exact. Those who hide
+    /// others have nobody in them: whoever seems to be is on them.
+    #[expect(clippy::cast_possible_truncation, reason = "f64 to f32")]
+    fn factor(&self, offset: Vec3, normal: Vec3) -> f32 {
+        let (own, squared) = (self.radius * self.radius, offset.length_squared());
+        if self.shell == 0.0 && squared <= own {
+            return ball_factor(offset, normal, self.radius);
+        }
+        let squared = squared.max(own);
+        let (distance, spread) = (squared.sqrt(), self.radius / squared.sqrt());
+        let cosine = normal.dot(offset) / distance;
+        if cosine >= spread {
+            return cosine / squared;
+        }
+        let cap = cap_irradiance(cosine.into(), spread.into()) as f32;
+        cap / (PI * own)
+    }
 }
 
 /// All particles.
@@ -42,16 +107,35 @@ impl Particles {
         for (set, factor) in sets {
             let spheres = set.position.iter().zip(&set.radius).zip(&set.radiance);
             sources.extend(spheres.filter_map(|((&center, &radius), &radiance)| {
-                let radiance = radiance * factor;
-                let power = luminance(radiance) * PI * radius * radius;
-                (power > 0.0 && power.is_finite()).then_some(Particle {
-                    center,
-                    radius,
-                    radiance,
-                    power,
-                })
+                Particle::new(0, (center, radius, 0.0), radiance * factor)
             }));
         }
+        Self::grown(sources)
+    }
+
+    /// `balls`, which hide each other. Cost O(n log n).
+    ///
+    /// # Panics
+    /// With 2^31 of them or more.
+    pub(super) fn of_balls(balls: &[Ball]) -> Self {
+        let source = |(number, ball): (u32, &Ball)| {
+            let place = (ball.center, ball.radius, ball.shell);
+            Particle::new(number, place, ball.radiance)
+        };
+        Self::grown((0..).zip(balls).filter_map(source).collect())
+    }
+
+    /// Of each source, in order, the number of the ball that it is.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = u32> {
+        self.sources.iter().map(|source| source.number)
+    }
+
+    /// Radiance of a source.
+    pub(super) fn radiance(&self, source: u32) -> Vec3 {
+        self.sources[source as usize].radiance
+    }
+
+    fn grown(mut sources: Vec<Particle>) -> Self {
         let (nodes, sums) = grow(&mut sources);
         Self {
             sums,
@@ -65,21 +149,23 @@ impl Particles {
         self.nodes.is_empty()
     }
 
-    /// Irradiance; rays go to the particles that `squares` pick, a quarter of them if these agree.
-    pub(super) fn irradiance(&self, stand: &Stand<'_>, squares: &[Vec2]) -> Vec3 {
-        let parts = self.parts(stand);
-        visible(&parts, squares, |part, place| self.look(stand, part, place))
+    /// Irradiance; rays go to the particles that `picks` pick, a quarter of them if these agree.
+    pub(super) fn irradiance(&self, stand: &Stand<'_>, picks: &[Vec2]) -> Vec3 {
+        let (parts, _) = self.parts(stand, false);
+        visible(&parts, stand, picks, |part, place| {
+            self.look(stand, part, place)
+        })
     }
 
-    /// What the particle of `part` picked by `place` gives, over what it should give by its share, and how much is seen
-    /// of it, 0…1.
-    fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<(Vec3, f32)> {
+    /// See [`Look`].
+    pub(super) fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<Look> {
         let (index, within) = pick(&self.sums, part, place.x);
         let source = &self.sources[index];
         let towards = (source.center - stand.origin).try_normalize()?;
         // One point of the disk that the sphere is seen as.
-        let offset = source.radius * pattern::disk(Vec2::new(within, place.y));
-        let target = source.center + Frame::about(towards).to_world(offset.extend(0.0));
+        let aside = source.radius * pattern::disk(Vec2::new(within, place.y));
+        let target = source.center + Frame::about(towards).to_world(aside.extend(0.0));
+        let depth = (source.shell * source.shell - aside.length_squared()).max(0.0);
         let offset = target - stand.origin;
         let direction = offset.try_normalize()?;
         let cosine = stand.point.normal.dot(direction);
@@ -89,15 +175,20 @@ impl Particles {
         let squared = offset.length_squared().max(source.radius * source.radius);
         let weight = cosine / squared * part.power / part.irradiance;
         let color = source.radiance * (weight / luminance(source.radiance));
-        color
-            .is_finite()
-            .then(|| (color, stand.sees(target, direction)))
+        color.is_finite().then(|| Look {
+            weight: color,
+            way: stand.way(Some(target), direction).map(|way| Way {
+                max_distance: (way.max_distance - depth.sqrt()).max(0.0),
+                ..way
+            }),
+        })
     }
 
-    /// The parts that shine on the receiver, in order of their sources.
-    fn parts(&self, stand: &Stand<'_>) -> Vec<Part> {
+    /// The parts that shine on the receiver, in order of their sources, and crowds, if these are asked for, of which no part is
+    /// made then.
+    pub(super) fn parts(&self, stand: &Stand<'_>, asks_crowds: bool) -> (Vec<Part>, Vec<Crowd>) {
         let (origin, normal) = (stand.origin, stand.point.normal);
-        let mut parts = Vec::new();
+        let (mut parts, mut crowds) = (Vec::new(), Vec::new());
         let mut queue = vec![0_u32];
         let mut next = 0;
         while let Some(&index) = queue.get(next) {
@@ -106,6 +197,10 @@ impl Particles {
             let offset = node.center - origin;
             let (height, squared) = (normal.dot(offset), offset.length_squared());
             if height <= -node.radius {
+                continue;
+            }
+            if asks_crowds && node.is_crowd() {
+                crowds.push(node.crowd(offset, normal));
                 continue;
             }
             let is_small = node.radius * node.radius < POINT_LIKE * POINT_LIKE * squared;
@@ -119,13 +214,13 @@ impl Particles {
         }
         parts.retain(|part: &Part| part.irradiance > 0.0);
         parts.sort_unstable_by_key(|part| part.first);
-        parts
+        (parts, crowds)
     }
 
     fn leaf(&self, node: &Node, origin: Vec3, normal: Vec3) -> impl Iterator<Item = Part> {
         (node.first..node.first + node.count).map(move |first| {
             let source = &self.sources[first as usize];
-            let factor = ball_factor(source.center - origin, normal, source.radius);
+            let factor = source.factor(source.center - origin, normal);
             Part {
                 first,
                 count: 1,
@@ -155,6 +250,25 @@ fn ball_factor(offset: Vec3, normal: Vec3, radius: f32) -> f32 {
     above / squared
 }
 
+impl Node {
+    /// True if this cluster of particles hides many of its own.
+    fn is_crowd(&self) -> bool {
+        self.count >= CROWD && self.coverage >= CROWDED
+    }
+
+    fn crowd(&self, offset: Vec3, normal: Vec3) -> Crowd {
+        let distance = offset.length();
+        let all = self.power * ball_factor(offset, normal, self.radius);
+        let is_apart = self.radius <= WIDEST * distance;
+        Crowd {
+            first: self.first,
+            count: self.count,
+            cone: is_apart.then(|| (offset / distance, self.radius / distance)),
+            irradiance: all / self.coverage.max(1.0),
+        }
+    }
+}
+
 impl Item for Particle {
     fn center(&self) -> Vec3 {
         self.center
@@ -178,14 +292,16 @@ impl Item for Particle {
             (sum / power).as_vec3()
         };
         let center = mean(&|s| s.center);
+        let reach = |s: &Self| s.center.distance(center) + s.radius.max(s.shell);
+        let radius = sources.iter().map(reach).fold(0.0, f32::max);
+        let disks: f32 = sources.iter().map(|s| s.radius * s.radius).sum();
         Node {
             first,
             count: sources.len() as u32,
             second: 0,
             center,
-            radius: (sources.iter())
-                .map(|s| s.center.distance(center) + s.radius)
-                .fold(0.0, f32::max),
+            radius,
+            coverage: disks / (radius * radius),
             moment: Vec3::ZERO,
             axis: Vec3::Z,
             cone: -1.0,
@@ -232,7 +348,7 @@ mod tests {
         let one = particles(&[(Vec3::new(0.0, 2.0, 0.0), 0.5)]);
         for x in [0.0_f32, 1.0, 4.0] {
             let point = up_at(Vec3::new(x, 0.0, 0.0));
-            let value = one.irradiance(&Stand::new(&tracer, &point), &pattern::square(64));
+            let value = one.irradiance(&Stand::new(&tracer, &point), &pattern::picks(64));
             let squared = x * x + 4.0;
             let truth = PI * 0.25 * 2.0 / squared / squared.sqrt();
             let error = (value / (truth * Vec3::new(1.0, 2.0, 3.0)) - 1.0).abs();
@@ -240,7 +356,7 @@ mod tests {
         }
         let above = up_at(Vec3::new(0.0, 3.0, 0.0));
         let stand = Stand::new(&tracer, &above);
-        assert_eq!(one.irradiance(&stand, &pattern::square(64)), Vec3::ZERO);
+        assert_eq!(one.irradiance(&stand, &pattern::picks(64)), Vec3::ZERO);
     }
 
     #[test]
@@ -255,7 +371,7 @@ mod tests {
             (Vec3::new(1.0, 3.0, 0.0), 0.1),
         ]);
         let point = up_at(Vec3::ZERO);
-        let value = both.irradiance(&Stand::new(&tracer, &point), &pattern::square(64));
+        let value = both.irradiance(&Stand::new(&tracer, &point), &pattern::picks(64));
         let truth = PI * 0.01 * 3.0 / 10.0_f32.powf(1.5);
         assert!((value.x / truth - 1.0).abs() < 1e-3, "{value} {truth}");
     }
@@ -276,7 +392,7 @@ mod tests {
         ] {
             let point = up_at(position);
             let stand = Stand::new(&tracer, &point);
-            let parts = all.parts(&stand);
+            let (parts, _) = all.parts(&stand, false);
             assert!(parts.len() < 3 * MOST_VISITS, "{}", parts.len());
             let sum: f64 = parts.iter().map(|part| f64::from(part.irradiance)).sum();
             let truth: f64 = (spheres.iter())

@@ -6,12 +6,44 @@ use std::f32::consts::TAU;
 /// `count` points (rounded up to a power of four, so that the first quarter is stratified too) of the unit square: Sobol's
 /// (0, 2)-sequence, moved to the middle of its cells.
 pub(super) fn square(count: u32) -> Vec<Vec2> {
-    let count = power_of_four(count);
+    sobol(power_of_four(count))
+}
+
+fn sobol(count: u32) -> Vec<Vec2> {
     #[expect(clippy::cast_precision_loss, reason = "at most 2^20 points")]
     let half_cell = 0.5 / count as f32;
     (0..count)
         .map(|i| Vec2::new(fraction(i.reverse_bits()), fraction(sobol_second(i))) + half_cell)
         .collect()
+}
+
+/// The same points, those of the first quarter and then the others, each from left to right: neighbors of a run of sources
+/// follow each other.
+pub(super) fn picks(count: u32) -> Vec<Vec2> {
+    let mut picks = square(count);
+    let count = picks.len();
+    let (quarter, rest) = picks.split_at_mut(quarter_of(count));
+    for part in [quarter, rest] {
+        part.sort_by(|a, b| a.x.total_cmp(&b.x));
+    }
+    picks
+}
+
+/// 2^`power` points as [`square`] has them, each sixteen of a small rectangle together.
+pub(super) fn blocks(power: u32) -> Vec<Vec2> {
+    let mut all = sobol(1 << power);
+    let blocks = power.saturating_sub(4);
+    let (columns, rows) = (blocks / 2, blocks - blocks / 2);
+    #[expect(clippy::cast_precision_loss, reason = "a power of two")]
+    let [across, along] = [columns, rows].map(|power| (1_u32 << power) as f32);
+    let block = |p: &Vec2| (p.x * across).floor() * along + (p.y * along).floor();
+    all.sort_by(|a, b| block(a).total_cmp(&block(b)));
+    all
+}
+
+/// Of so many picks those that are looked at first.
+pub(super) fn quarter_of(count: usize) -> usize {
+    count.div_ceil(4)
 }
 
 /// The middles of `side × side` squares: for smooth integrands, far better than [`square`].

@@ -88,29 +88,43 @@ impl<'a> Stand<'a> {
     /// Part of the light that comes through what is between the receiver and `position` on an emissive surface, which lies
     /// in unit `direction` and whose normal makes the cosine `leaving` with the way back.
     pub(super) fn sees_surface(&self, position: Vec3, direction: Vec3, leaving: f32) -> f32 {
-        let Some(start) = self.start(direction) else {
-            return 0.0;
-        };
-        let offset = position - start;
+        let way = self.way_to_surface(position, direction, leaving);
+        way.map_or(0.0, |way| self.passes(&way))
+    }
+
+    /// The way there; `None` where the surface of the receiver itself hides it.
+    pub(super) fn way_to_surface(
+        &self,
+        position: Vec3,
+        direction: Vec3,
+        leaving: f32,
+    ) -> Option<Way> {
+        let origin = self.start(direction)?;
+        let offset = position - origin;
         let distance = offset.length();
         let clearance = CLEARANCE * self.tracer.lift_height(self.point.position);
         let end = end_before(distance).min(distance - clearance / leaving.max(f32::MIN_POSITIVE));
-        if end <= 0.0 {
-            return 1.0;
-        }
-        self.tracer.transmittance(start, offset / distance, end)
+        let is_there = end <= 0.0;
+        Some(Way {
+            origin,
+            direction: if is_there {
+                direction
+            } else {
+                offset / distance
+            },
+            max_distance: end.max(0.0),
+        })
+    }
+
+    /// Part of the light that comes along `way`, 0…1.
+    fn passes(&self, way: &Way) -> f32 {
+        (self.tracer).transmittance(way.origin, way.direction, way.max_distance)
     }
 
     /// Part of the light that comes through what is between the receiver and `position`, which lies in unit `direction`.
     pub(super) fn sees(&self, position: Vec3, direction: Vec3) -> f32 {
-        self.way(Some(position), direction).map_or(0.0, |way| {
-            let Way {
-                origin,
-                direction,
-                max_distance,
-            } = way;
-            self.tracer.transmittance(origin, direction, max_distance)
-        })
+        let way = self.way(Some(position), direction);
+        way.map_or(0.0, |way| self.passes(&way))
     }
 
     /// The way to `position`, or as far as the sky is where there is none, in unit `direction`; `None` where the surface itself

@@ -19,8 +19,10 @@ pub struct LightScenes<'a> {
 /// Most times the usual samples.
 const MOST_SCALE: u32 = 16;
 
-/// Share of the tolerance that light may use up; the engine has √(1 − its square), 87 %.
+/// Share of the tolerance that light may use up; the engine has √(1 − its square), 87 %. Where nothing hangs on that, light has
+/// all that may be aimed at.
 const LIGHT_SHARE: f64 = 0.5;
+const SHARE_ALONE: f64 = super::choose::AIM;
 
 /// Error of direct light.
 #[derive(Debug, Clone)]
@@ -137,7 +139,9 @@ pub(super) fn measure(
         }
     }
     let worst = errors.iter().copied().fold(0.0, f64::max);
-    let scale = scale(worst / (LIGHT_SHARE * pilot.tolerance));
+    let is_alone = !aovs.iter().any(|&aov| pilot.scenes.depends_on_engine(aov));
+    let share = if is_alone { SHARE_ALONE } else { LIGHT_SHARE };
+    let scale = scale(worst / (share * pilot.tolerance));
     let reference = RaysSettings::REFERENCE_ERROR_SHARE.sqrt();
     let finer = finer.map(|finer| (finer, errors.iter().map(|own| reference * own).collect()));
     let left = f64::from(scale).powf(-super::choose::LAW);

@@ -117,6 +117,11 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// True if each of its faces is a ball: `Points` without normals.
+    pub fn is_of_balls(&self) -> bool {
+        self.scheme == "Points" && self.closed
+    }
+
     /// Bounds of all positions, in the space of `positions`.
     pub fn bounds(&self) -> Bounds3 {
         Bounds3::around(self.positions.iter().copied())

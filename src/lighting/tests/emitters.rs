@@ -17,10 +17,14 @@ fn emitting(meshes: &[(Vec<[Vec3; 3]>, f32, Affine3A)]) -> Scene {
 }
 
 fn from_emitters(scene: &Scene, points: &[ShadePoint]) -> Vec<Vec3> {
+    by_samples(ONE_LIGHT, scene, points)
+}
+
+fn by_samples(samples: LightSamples, scene: &Scene, points: &[ShadePoint]) -> Vec<Vec3> {
     let diagnostics = Diagnostics::default();
     let shader = Shader::new(scene, &diagnostics);
     let tracer = Tracer::new(scene);
-    let lighting = Lighting::new(&shader, ONE_LIGHT, &diagnostics);
+    let lighting = Lighting::new(&shader, samples, &diagnostics);
     points
         .iter()
         .map(|p| lighting.emitters(&shader, &tracer, p))
@@ -268,4 +272,96 @@ fn scenes_without_emission_have_no_emitters() {
     let point = up_at(Vec3::ZERO);
     assert_eq!(lighting.emitters(&shader, &tracer, &point), Vec3::ZERO);
     assert_eq!(lighting.environment(&tracer, &point), Vec3::ZERO);
+}
+
+/// `Points` as octahedra of the area of spheres.
+fn points(balls: &[(Vec3, f32)]) -> crate::scene::Mesh {
+    let ends = [Vec3::X, Vec3::Y, Vec3::Z];
+    let mut triangles = Vec::new();
+    for &(center, radius) in balls {
+        // Eight triangles of side √2.
+        let stretch = radius * (PI / 3.0_f32.sqrt()).sqrt();
+        for octant in 0..8 {
+            let sign = |axis: usize| if octant >> axis & 1 == 0 { 1.0 } else { -1.0 };
+            let [a, b, c] = [0, 1, 2].map(|axis| center + stretch * sign(axis) * ends[axis]);
+            let is_outward = sign(0) * sign(1) * sign(2) > 0.0;
+            triangles.push(if is_outward { [a, b, c] } else { [a, c, b] });
+        }
+    }
+    let mut mesh = mesh(&triangles);
+    mesh.triangle_faces = (0..mesh.triangles.len() as u32).map(|t| t / 8).collect();
+    (mesh.scheme, mesh.closed) = ("Points".into(), true);
+    mesh
+}
+
+/// What shines of `scene`, whose first prim is `Points` that emit (1, 2, 3), at `point`: by rays all around.
+fn by_all_rays(tracer: &Tracer, point: &ShadePoint) -> Vec3 {
+    let mut random = Random(9);
+    let count = 400_000;
+    let origin = tracer.lift(point.position, point.normal);
+    let met = (0..count).filter(|_| {
+        let direction = (point.normal + random.direction()).normalize();
+        (tracer.closest(origin, direction, f32::INFINITY)).is_some_and(|hit| hit.prim.0 == 0)
+    });
+    PI * met.count() as f32 / count as f32 * Vec3::new(1.0, 2.0, 3.0)
+}
+
+#[test]
+fn points_that_hide_each_other_give_what_rays_all_around_see_of_them() {
+    let mut random = Random(4);
+    let wall = grid(Vec3::new(-3.0, 0.0, 2.0), Vec3::Y, 2.0 * Vec3::X, 1);
+    for (count, radius) in [(3000, 0.03), (3000, 0.012), (100, 0.15)] {
+        let balls: Vec<_> = (0..count)
+            .map(|_| (random.vector() + Vec3::new(0.0, 1.5, 0.0), radius))
+            .collect();
+        let mut scene = emitting(&[
+            (Vec::new(), 1.0, Affine3A::IDENTITY),
+            (wall.clone(), 0.0, Affine3A::IDENTITY),
+        ]);
+        scene.meshes[0] = points(&balls);
+        let tracer = Tracer::new(&scene);
+        // Beside them, amid them, below them, behind the wall.
+        let places = [
+            [4.0, 0.0, 0.0],
+            [0.1, 1.4, 0.2],
+            [0.3, 0.2, 0.1],
+            [-2.0, 0.5, 4.0],
+        ];
+        let places = places.map(|place| up_at(Vec3::from_array(place)));
+        let many = LightSamples {
+            emissive: 4096,
+            ..ONE_LIGHT
+        };
+        let found = by_samples(many, &scene, &places);
+        for (found, point) in found.into_iter().zip(&places) {
+            let truth = by_all_rays(&tracer, point);
+            let off = (found - truth).abs().x;
+            assert!(
+                off < 0.02 * truth.x + 0.001,
+                "{count} of {radius} at {}: {found} {truth}",
+                point.position
+            );
+        }
+    }
+}
+
+#[test]
+fn points_that_stand_apart_give_the_sum_of_sphere_formulas() {
+    let balls: Vec<_> = (0..100)
+        .map(|i| {
+            let (x, z) = ((i % 10) as f32 - 4.5, (i / 10) as f32 - 4.5);
+            (Vec3::new(x, 3.0, z), 0.02)
+        })
+        .collect();
+    let mut scene = emitting(&[(Vec::new(), 1.0, Affine3A::from_scale(Vec3::splat(2.0)))]);
+    scene.meshes[0] = points(&balls);
+    let point = up_at(Vec3::new(0.7, 0.0, 0.2));
+    let truth: f32 = (balls.iter())
+        .map(|(center, radius)| {
+            let offset = 2.0 * *center - point.position;
+            let radius = 2.0 * radius;
+            PI * radius * radius * offset.y / offset.length().powi(3)
+        })
+        .sum();
+    assert_near(from_emitters(&scene, &[point])[0], truth, 2e-3);
 }
