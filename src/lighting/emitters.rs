@@ -1,5 +1,5 @@
 //! Emissive surfaces: large plane ones in closed form, others of constant radiance as clusters, both with ray-traced
-//! visibility; textured ones sampled.
+//! visibility; points as balls; textured ones sampled.
 
 use super::balls::{Ball, BallPatterns, Balls, shines_as_balls};
 use super::clusters::Clusters;
