@@ -83,7 +83,8 @@ impl Blend {
         }
     }
 
-    /// Write the values at receiver `i` to `out`; false if none of the seeds may speak for it. `voices` is room to work in.
+    /// Write the values at receiver `i` to `out`, and how far what seeds say is from each, root of the mean square by weight, to
+    /// `apart`; false if none of the seeds may speak for it. `voices` is room to work in.
     ///
     /// Weights fall to zero at the farthest seed (Franke and Little's for Shepard's method) and grow without bound at each:
     /// values are continuous, and those of the seeds are met.
@@ -91,7 +92,7 @@ impl Blend {
         &self,
         (receivers, i): (&Receivers, usize),
         voices: &mut Vec<Voices>,
-        out: &mut [f32],
+        (out, apart): (&mut [f32], &mut [f32]),
     ) -> bool {
         let (normal, place) = (receivers.normal[i], receivers.position[i] - self.origin);
         voices.clear();
@@ -102,13 +103,16 @@ impl Blend {
         if sum <= 0.0 {
             return false;
         }
-        for (out, says) in out.iter_mut().zip(self.says.chunks_exact(voices.len())) {
+        let outs = out.iter_mut().zip(apart);
+        for ((out, apart), says) in outs.zip(self.says.chunks_exact(voices.len())) {
             let mut range = (f32::INFINITY, f32::NEG_INFINITY);
+            let mut squares = [0.0; LANES];
             let told = says.iter().zip(voices.iter()).map(|(says, voices)| {
                 let (value, told) = says.at(place, normal);
                 let mut weighted = [0.0; LANES];
                 for lane in 0..LANES {
                     weighted[lane] = voices.weight[lane] * told[lane];
+                    squares[lane] += weighted[lane] * told[lane];
                     if voices.alike[lane] > 0.0 {
                         range = (range.0.min(value[lane]), range.1.max(value[lane]));
                     }
@@ -117,6 +121,9 @@ impl Blend {
             });
             #[expect(clippy::cast_possible_truncation, reason = "rounded once, at its end")]
             let value = (total(told) / sum) as f32;
+            #[expect(clippy::cast_possible_truncation, reason = "f64 to f32")]
+            let square = (total(std::iter::once(squares)) / sum) as f32;
+            *apart = (square - value * value).max(0.0).sqrt();
             let beyond = BEYOND * (range.1 - range.0);
             *out = value.clamp(range.0 - beyond, range.1 + beyond);
         }
@@ -204,7 +211,7 @@ mod tests {
         let mut out = [f32::NAN];
         let asked: Vec<u32> = seeds.all().collect();
         let blend = Blend::new(seeds, &gradients, &asked);
-        let is_told = blend.at((&receivers, 0), &mut Vec::new(), &mut out);
+        let is_told = blend.at((&receivers, 0), &mut Vec::new(), (&mut out, &mut [0.0]));
         is_told.then_some(out[0])
     }
 

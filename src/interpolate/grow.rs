@@ -114,20 +114,51 @@ impl Work<'_> {
         strictness: Strictness,
         fault: &Fault,
     ) -> Result<(), Cancelled> {
-        let mut cells = field.take_faulty(fault, &|i| self.gathering.kind(i as usize));
+        let cells = field.take_faulty(fault, &|i| self.gathering.kind(i as usize));
+        self.grow_cells(field, strictness, cells)
+    }
+
+    /// The same of `cells`, which are in none of `field`'s.
+    fn grow_cells(
+        &self,
+        field: &mut Field,
+        strictness: Strictness,
+        mut cells: Vec<Cell>,
+    ) -> Result<(), Cancelled> {
         while !cells.is_empty() {
             let is_rough = self.rough(field, &cells, strictness);
-            let mut parts = Vec::new();
+            let mut rough = Vec::new();
             for (cell, is_rough) in cells.into_iter().zip(is_rough) {
                 if is_rough {
-                    parts.extend(quarters(&field.cells, &field.seeds, &cell));
+                    rough.push(cell);
                 } else if cell.run.len() > 1 {
                     field.smooth.push(cell);
                 }
             }
-            cells = self.sow_parts((&field.cells, &mut field.seeds), parts)?;
+            cells = self.cut(field, &rough)?;
         }
         Ok(())
+    }
+
+    /// Cut `cells`, which are in none of `field`'s, however smooth they are, and then grow their parts. Those that are smooth
+    /// are the value, and in none of `field`'s.
+    pub(super) fn regrow(
+        &self,
+        field: &mut Field,
+        strictness: Strictness,
+        cells: &[Cell],
+    ) -> Result<Vec<Cell>, Cancelled> {
+        let before = field.smooth.len();
+        let parts = self.cut(field, cells)?;
+        self.grow_cells(field, strictness, parts)?;
+        Ok(field.smooth.split_off(before))
+    }
+
+    /// The parts of `cells`, with seeds.
+    fn cut(&self, field: &mut Field, cells: &[Cell]) -> Result<Vec<Cell>, Cancelled> {
+        let parts = (cells.iter()).flat_map(|cell| quarters(&field.cells, &field.seeds, cell));
+        let parts = parts.collect();
+        self.sow_parts((&field.cells, &mut field.seeds), parts)
     }
 
     /// Give those of `parts` a seed that have none.

@@ -141,9 +141,8 @@ pub fn gather(
         if !work.take(step, &mut field, &fault)? {
             continue;
         }
-        let told = work.tell(&mut field)?;
-        let is_grown = matches!(step, Step::Grow(_));
-        let untrue = if is_grown {
+        let told = work.tell(&mut field, step.strictness())?;
+        let untrue = if step.strictness().is_some() {
             work.untrue(&told, &mut field)?
         } else {
             None
@@ -184,6 +183,16 @@ enum Step {
     Again,
     /// Gather at all.
     Everywhere,
+}
+
+impl Step {
+    /// Of cells that it grows.
+    fn strictness(self) -> Option<Strictness> {
+        match self {
+            Self::Grow(strictness) => Some(strictness),
+            _ => None,
+        }
+    }
 }
 
 /// In this order; values that were gathered are kept.
