@@ -4,7 +4,7 @@
 #[path = "support/program.rs"]
 mod program;
 
-use program::{run, stderr};
+use program::{json, run, stderr};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -147,4 +147,39 @@ fn reflections_are_covered_where_the_mirror_shows_a_wall() {
     // Corners are darker than the middle of a wall.
     let open = |columns, rows| 1.0 - mean(all, columns, rows);
     assert!(open([0.2, 0.25], [0.2, 0.25]) < 0.9 * open([0.45, 0.55], [0.3, 0.4]));
+}
+
+/// One bounce under the sky, 512 pixels wide: receivers, how many of them were gathered at, and the values.
+fn bounce_under_the_sky(flags: &[&str]) -> (u64, u64, Vec<f32>) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let image = folder.path().join("sky.exr");
+    let stage = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("examples/teapots_sky.usda");
+    let mut args = vec!["render", stage.to_str().expect("UTF-8")];
+    args.extend(["-o", image.to_str().expect("UTF-8"), "--usd", "native"]);
+    args.extend(["--aov", "irradiance_indirect", "--image-width", "512"]);
+    args.extend(["--pixel-samples", "1", "--json"]);
+    args.extend(flags);
+    let told = json(&run(&args));
+    let count = |name: &str| told["counts"][name].as_u64().expect("a count");
+    let read = exr::prelude::read_all_flat_layers_from_file(&image).expect("a readable EXR");
+    let channels = (read.layer_data.iter()).flat_map(|layer| &layer.channel_data.list);
+    let green = channels
+        .into_iter()
+        .find(|channel| channel.name.to_string().ends_with('G'));
+    let values = green.expect("a color").sample_data.values_as_f32();
+    (count("receivers"), count("gathered"), values.collect())
+}
+
+#[test]
+fn pixels_of_a_curved_lip_under_the_sky_speak_for_each_other_and_none_is_far_off() {
+    let (receivers, gathered, found) = bounce_under_the_sky(&["--tolerance", "0.05"]);
+    assert!(4 * gathered < receivers, "{gathered} of {receivers}");
+    let (_, _, truth) = bounce_under_the_sky(&["--gather", "rays", "--interpolate", "never"]);
+    let lit = truth
+        .iter()
+        .filter(|value| value.is_finite() && **value > 0.0);
+    let mean = lit.clone().sum::<f32>() / lit.count() as f32;
+    let off = (found.iter().zip(&truth)).filter(|(a, b)| (**a - **b).abs() > mean);
+    let count = off.count();
+    assert!(count < 20, "{count} pixels are off by more than {mean}");
 }
