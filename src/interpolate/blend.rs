@@ -38,6 +38,15 @@ struct Says {
     before: Lanes,
 }
 
+/// What the seeds around tell of each: component by component.
+#[derive(Debug, Default)]
+pub(super) struct Around {
+    /// Change with place, per stage unit.
+    pub(super) gradient: Vec<Vec3>,
+    /// To be added to its values.
+    pub(super) shift: Vec<f32>,
+}
+
 /// Blends values from the same seeds at one receiver after the other.
 #[derive(Debug)]
 pub(super) struct Blend {
@@ -49,9 +58,8 @@ pub(super) struct Blend {
 }
 
 impl Blend {
-    /// From the seeds `asked`, at least one; `gradients` are the changes of each component of every seed with place, per
-    /// stage unit.
-    pub(super) fn new(seeds: &Seeds, gradients: &[Vec3], asked: &[u32]) -> Self {
+    /// From the seeds `asked`, at least one, and what is `around` every seed.
+    pub(super) fn new(seeds: &Seeds, around: &Around, asked: &[u32]) -> Self {
         let origin = seeds.position[asked[0] as usize];
         let n = seeds.components;
         let groups = asked.len().div_ceil(LANES);
@@ -66,9 +74,10 @@ impl Blend {
             }
             for component in 0..n {
                 let place = i * n + component;
-                let (turn, gradient) = (seeds.turns[place], gradients[place]);
+                let (turn, gradient) = (seeds.turns[place], around.gradient[place]);
                 let own = &mut says[component * groups + group];
-                own.level[lane] = seeds.turned(seed, component, Vec3::ZERO);
+                let level = seeds.turned(seed, component, Vec3::ZERO);
+                own.level[lane] = level + around.shift[place];
                 own.before[lane] = gradient.dot(position);
                 for axis in 0..3 {
                     own.turn[axis][lane] = turn[axis];
@@ -87,7 +96,7 @@ impl Blend {
     /// `apart`; false if none of the seeds may speak for it. `voices` is room to work in.
     ///
     /// Weights fall to zero at the farthest seed (Franke and Little's for Shepard's method) and grow without bound at each:
-    /// values are continuous, and those of the seeds are met.
+    /// values are continuous, and those of the seeds, shifted, are met.
     pub(super) fn at(
         &self,
         (receivers, i): (&Receivers, usize),
@@ -210,7 +219,11 @@ mod tests {
         let receivers = receivers_at(&[(place, normal)]);
         let mut out = [f32::NAN];
         let asked: Vec<u32> = seeds.all().collect();
-        let blend = Blend::new(seeds, &gradients, &asked);
+        let around = Around {
+            shift: vec![0.0; gradients.len()],
+            gradient: gradients,
+        };
+        let blend = Blend::new(seeds, &around, &asked);
         let is_told = blend.at((&receivers, 0), &mut Vec::new(), (&mut out, &mut [0.0]));
         is_told.then_some(out[0])
     }

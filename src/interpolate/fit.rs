@@ -24,6 +24,8 @@ pub(super) struct Fit {
     pub(super) gradient: Vec<Vec3>,
     /// What the neighbors alone would say of each component at the seed, minus what it is.
     pub(super) surprise: Vec<f32>,
+    /// Part of that which is to be added to the seed's own values for the least error, if seeds err by chance and alike.
+    pub(super) share: f32,
 }
 
 /// Least squares through `around[1..]`, the neighbors of seed `around[0]`, nearest first; `None` where they are too few or
@@ -37,7 +39,11 @@ pub(super) fn fit(seeds: &Seeds, around: &[u32]) -> Option<Fit> {
     let found =
         (0..seeds.components).map(|component| plane.through(seeds, (own, others), component));
     let (gradient, surprise) = found.unzip();
-    Some(Fit { gradient, surprise })
+    Some(Fit {
+        gradient,
+        surprise,
+        share: plane.share(),
+    })
 }
 
 /// What does not hang on the values.
@@ -82,6 +88,14 @@ impl Plane {
             slopes: own_moments.inverse(),
             level: moments.inverse().x_axis,
         })
+    }
+
+    /// See [`Fit::share`]: of two independent findings each counts by the inverse of its variance.
+    #[expect(clippy::cast_possible_truncation, reason = "a part of 1")]
+    fn share(&self) -> f32 {
+        let part = |&(u, weight): &(DVec3, f64)| (weight * self.level.dot(u)).powi(2);
+        let variance: f64 = self.offsets.iter().map(part).sum();
+        (1.0 / (1.0 + variance)) as f32
     }
 
     /// Gradient of one component, and surprise.

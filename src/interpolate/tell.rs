@@ -1,7 +1,7 @@
 //! Seeds → values of all receivers, and whether these are true.
 
 use super::base;
-use super::blend::Blend;
+use super::blend::{Around, Blend};
 use super::grow::{Cell, Field, Strictness};
 use super::seeds::{ASKED, SeedIndex, Seeds};
 use super::{Fault, Kind, Work};
@@ -32,12 +32,20 @@ const ROUNDS: u32 = 3;
 /// 0.05, a scan with pits has 0.5.
 const MOST_DISPUTED: f64 = 0.2;
 
+/// What rays err by differs from seed to seed: the mean of each and of what its neighbors foretell of it is nearer to the truth,
+/// as long as these are off by less than so many times the tolerance, and not at all where it is more: there is something to be
+/// seen. Cornell box, teapots, room, 512²: 0.79, 0.81, 0.85 of the error at 5 %, 0.81, 0.83, 0.92 at 2 %, and walls without
+/// smudges.
+const EVEN: (f64, f64) = (1.5, 2.5);
+
 /// Values of all receivers.
 pub(super) struct Told {
     /// Of the base, side by side.
     pub(super) values: Vec<f32>,
     /// Receivers whose values are blended.
     pub(super) blended: Vec<u32>,
+    /// Seeds among others who have values evened with these.
+    evened: Vec<bool>,
 }
 
 /// Values of the receivers of a cell.
@@ -51,27 +59,30 @@ struct Blended {
 }
 
 impl Told {
-    /// Take the values of a cell of `field`, those of its seed aside; those whom nobody may speak for go to `orphans`.
+    /// Take the values of a cell of `field`; those whom nobody may speak for go to `orphans`.
     fn take(&mut self, field: &Field, cell: &Cell, blended: &Blended, orphans: &mut Vec<u32>) {
         let (cells, seeds) = (&field.cells, &field.seeds);
         let n = seeds.components;
         let own = seeds.receiver[cell.seed as usize];
         let run = cells.order[cell.run.clone()].iter();
         let run = (run.zip(blended.values.chunks_exact(n))).zip(&blended.is_told);
-        for ((&i, value), is_told) in run.filter(|((i, _), _)| **i != own) {
-            if *is_told {
+        for ((&i, value), &is_told) in run {
+            if is_told {
                 self.values[i as usize * n..][..n].copy_from_slice(value);
-                self.blended.push(i);
-            } else {
-                orphans.push(i);
+            }
+            match (i == own, is_told) {
+                (true, _) => self.evened[i as usize] = is_told,
+                (false, true) => self.blended.push(i),
+                (false, false) => orphans.push(i),
             }
         }
     }
 
-    /// Put gathered values in place of blended ones.
+    /// Put gathered values in place of blended ones, where they are not evened.
     fn replace(&mut self, seeds: &Seeds) {
         let n = seeds.components;
-        for (&i, value) in seeds.receiver.iter().zip(seeds.values.chunks_exact(n)) {
+        let gathered = seeds.receiver.iter().zip(seeds.values.chunks_exact(n));
+        for (&i, value) in gathered.filter(|(i, _)| !self.evened[**i as usize]) {
             self.values[i as usize * n..][..n].copy_from_slice(value);
         }
         let is_seed = seeds.marks(self.values.len() / n);
@@ -89,6 +100,7 @@ impl Work<'_> {
         let mut told = Told {
             values: vec![0.0; field.seeds.components * self.gathering.receivers.len()],
             blended: Vec::new(),
+            evened: vec![false; self.gathering.receivers.len()],
         };
         let mut cells = std::mem::take(&mut field.smooth);
         for round in 0.. {
@@ -130,9 +142,9 @@ impl Work<'_> {
         let asked: Vec<Vec<u32>> = (smooth.par_iter())
             .map(|cell| index.near(cell.seed, ASKED))
             .collect();
-        let gradients = gradients(&index, &asked);
+        let around = self.around(&index, &asked, &field.scales);
         let blend = |(cell, asked): (&Cell, &Vec<u32>)| {
-            let (blend, mut voices) = (Blend::new(seeds, &gradients, asked), Vec::new());
+            let (blend, mut voices) = (Blend::new(seeds, &around, asked), Vec::new());
             let run = &cells.order[cell.run.clone()];
             let (mut values, mut apart) = (vec![0.0; n * run.len()], vec![0.0; n]);
             let (mut is_told, mut square) = (Vec::with_capacity(run.len()), 0.0);
@@ -200,20 +212,40 @@ impl Work<'_> {
             false => Some(Fault::Of(untrue)),
         })
     }
-}
 
-/// How each component of every seed changes with place; zero of those that nobody asks and of those that do not know.
-fn gradients(index: &SeedIndex<'_>, asked: &[Vec<u32>]) -> Vec<Vec3> {
-    let n = index.seeds.components;
-    let mut is_asked = vec![false; index.seeds.len()];
-    for &seed in asked.iter().flatten() {
-        is_asked[seed as usize] = true;
+    /// What is around every seed that is asked; zero where nobody asks or knows.
+    fn around(&self, index: &SeedIndex<'_>, asked: &[Vec<u32>], scales: &[Option<f64>]) -> Around {
+        let n = index.seeds.components;
+        let mut is_asked = vec![false; index.seeds.len()];
+        for &seed in asked.iter().flatten() {
+            is_asked[seed as usize] = true;
+        }
+        let of_seed = |(seed, (gradient, shift)): (u32, (&mut [Vec3], &mut [f32]))| {
+            let fit = is_asked[seed as usize].then(|| index.fit(seed)).flatten();
+            let Some(fit) = fit else {
+                return;
+            };
+            let off = base::relative(self.base, &fit.surprise, scales) / self.settings.tolerance;
+            let believed = ((EVEN.1 - off) / (EVEN.1 - EVEN.0)).clamp(0.0, 1.0);
+            #[expect(clippy::cast_possible_truncation, reason = "a part of 1")]
+            let share = fit.share * believed as f32;
+            gradient.copy_from_slice(&fit.gradient);
+            for (shift, surprise) in shift.iter_mut().zip(fit.surprise) {
+                *shift = share * surprise;
+            }
+        };
+        let mut around = Around {
+            gradient: vec![Vec3::ZERO; n * is_asked.len()],
+            shift: vec![0.0; n * is_asked.len()],
+        };
+        let columns = around.gradient.par_chunks_mut(n);
+        let columns = columns.zip(around.shift.par_chunks_mut(n));
+        index
+            .seeds
+            .all()
+            .into_par_iter()
+            .zip(columns)
+            .for_each(of_seed);
+        around
     }
-    let gradient = |seed: u32| {
-        let fit = is_asked[seed as usize].then(|| index.fit(seed)).flatten();
-        fit.map_or_else(|| vec![Vec3::ZERO; n], |fit| fit.gradient)
-    };
-    (index.seeds.all().into_par_iter())
-        .flat_map_iter(gradient)
-        .collect()
 }
