@@ -134,6 +134,18 @@ mod tests {
     }
 
     #[test]
+    fn neighbors_all_around_are_believed_more_than_those_of_one_side() {
+        let seeds = grid(|_| 0.0);
+        let all: Vec<u32> = (0..11).collect();
+        let is_beside = |&i: &u32| i == 0 || seeds.position[i as usize].x > 0.0;
+        let beside: Vec<u32> = (0..25).filter(is_beside).collect();
+        let [all, beside] = [all, beside].map(|around| fit(&seeds, &around).unwrap().share);
+        // The mean of a few neighbors has a fraction of the variance of one; what is foretold from beside has more.
+        assert!((0.75..0.95).contains(&all), "{all}");
+        assert!((0.3..0.75).contains(&beside), "{beside}");
+    }
+
+    #[test]
     fn a_plane_is_found_and_no_surprise() {
         let seeds = grid(|p| 3.0 + 2.0 * p.x - 0.5 * p.z);
         let around: Vec<u32> = (0..11).collect();

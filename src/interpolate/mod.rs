@@ -3,12 +3,13 @@
 //! Receivers are cut into cells of neighbors (`cells`); one receiver of each is gathered at, a seed. Where a plane through
 //! its neighbors foretells what a seed sees (`fit`), and nothing is near (`room`), its cell is smooth; all others are cut in
 //! four, with seeds of their own, and so on (`grow`). The values of all other receivers are blended from the seeds around,
-//! of which each tells how its own change with place and with the normal (`blend`): without borders between cells. Some of
-//! these are gathered at too, to see whether it is true: if not, cells are cut finer, and then all of their kind are gathered
-//! at (`tell`).
+//! of which each tells how its own change with place and with the normal (`blend`): without borders between cells. Where
+//! seeds say different things cells are cut once more, and where their neighbors are off by no more than rays err by, they are
+//! evened with these. Some blended values are gathered too, to see whether they are true: if not, cells are cut finer, and then
+//! all of their kind are gathered at (`tell`).
 //!
-//! In a Cornell box with two balls, 512² pixels, rays for 2 %, 20 310 of 240 795 receivers are gathered at, in 0.22 of the
-//! time, and what rays err by is smoothed a little: 1.74 % instead of 1.84.
+//! In a Cornell box with two balls, 512² pixels, rays for 2 %, 26 839 of 240 795 receivers are gathered at, in 0.22 of the
+//! time, and what rays err by is smoothed: 1.33 % instead of 1.84.
 
 mod assemble;
 mod base;
