@@ -99,21 +99,31 @@ impl<'a> Stand<'a> {
         direction: Vec3,
         leaving: f32,
     ) -> Option<Way> {
-        let origin = self.start(direction)?;
+        let clearance = CLEARANCE * self.tracer.lift_height(self.point.position);
+        let before = clearance / leaving.max(f32::MIN_POSITIVE);
+        let end = |distance: f32| end_before(distance).min(distance - before);
+        Some(Self::towards(
+            (self.start(direction)?, direction),
+            position,
+            end,
+        ))
+    }
+
+    /// The way from a place to `position`, which lies in unit direction, as far as the `end` of one that long says. At the end
+    /// nothing is in between: a way of no length is open.
+    fn towards((origin, direction): (Vec3, Vec3), position: Vec3, end: impl Fn(f32) -> f32) -> Way {
         let offset = position - origin;
         let distance = offset.length();
-        let clearance = CLEARANCE * self.tracer.lift_height(self.point.position);
-        let end = end_before(distance).min(distance - clearance / leaving.max(f32::MIN_POSITIVE));
-        let is_there = end <= 0.0;
-        Some(Way {
+        let max_distance = end(distance).max(0.0);
+        Way {
             origin,
-            direction: if is_there {
-                direction
-            } else {
+            direction: if max_distance > 0.0 {
                 offset / distance
+            } else {
+                direction
             },
-            max_distance: end.max(0.0),
-        })
+            max_distance,
+        }
     }
 
     /// Part of the light that comes along `way`, 0…1.
@@ -138,18 +148,6 @@ impl<'a> Stand<'a> {
                 max_distance: self.reach,
             });
         };
-        let offset = position - origin;
-        let distance = offset.length();
-        // At the light itself nothing is in between: a way of no length is open.
-        let is_there = distance == 0.0;
-        Some(Way {
-            origin,
-            direction: if is_there {
-                direction
-            } else {
-                offset / distance
-            },
-            max_distance: end_before(distance),
-        })
+        Some(Self::towards((origin, direction), position, end_before))
     }
 }
