@@ -6,7 +6,7 @@ mod program;
 
 use program::{json, run, stderr};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Pixels across and down.
 const SIZE: usize = 48;
@@ -28,7 +28,12 @@ fn figure(scene: &str, flags: &str) -> Channels {
     args.extend(flags.split(' '));
     let result = run(&args);
     assert!(result.status.success(), "{}", stderr(&result));
-    let read = exr::prelude::read_all_flat_layers_from_file(&image).expect("a readable EXR");
+    channels(&image)
+}
+
+/// All channels of a file.
+fn channels(image: &Path) -> Channels {
+    let read = exr::prelude::read_all_flat_layers_from_file(image).expect("a readable EXR");
     let channels = read
         .layer_data
         .iter()
@@ -161,13 +166,11 @@ fn bounce_under_the_sky(flags: &[&str]) -> (u64, u64, Vec<f32>) {
     args.extend(flags);
     let told = json(&run(&args));
     let count = |name: &str| told["counts"][name].as_u64().expect("a count");
-    let read = exr::prelude::read_all_flat_layers_from_file(&image).expect("a readable EXR");
-    let channels = (read.layer_data.iter()).flat_map(|layer| &layer.channel_data.list);
-    let green = channels
+    let green = channels(&image)
         .into_iter()
-        .find(|channel| channel.name.to_string().ends_with('G'));
-    let values = green.expect("a color").sample_data.values_as_f32();
-    (count("receivers"), count("gathered"), values.collect())
+        .find(|(name, _)| name.ends_with('G'));
+    let (_, values) = green.expect("a color");
+    (count("receivers"), count("gathered"), values)
 }
 
 #[test]

@@ -39,7 +39,7 @@ struct Says {
 }
 
 /// What the seeds around tell of each: component by component.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Around {
     /// Change with place, per stage unit.
     pub(super) gradient: Vec<Vec3>,

@@ -6,7 +6,6 @@
 //! Where they are so dense that most of them are hidden by others, few of the rays to single ones would get there. There
 //! rays look into the cone that holds a cluster, or all around, and what they meet of it shines.
 
-use super::clusters::visible;
 use super::emitters::has_constant_emission;
 use super::particles::{Crowd, Particles};
 use super::pattern;
@@ -58,33 +57,31 @@ pub(super) struct Balls {
     sources: Vec<Vec<u32>>,
 }
 
-/// Patterns of rays to them.
+/// Patterns of 4, 8, 16, … rays into a cone or all around.
 #[derive(Debug)]
-pub(super) struct BallPatterns {
-    picks: Vec<Vec2>,
-    /// Of 4, 8, 16, … rays into a cone or all around.
-    cones: Vec<Vec<Vec2>>,
+pub(super) struct Cones {
+    patterns: Vec<Vec<Vec2>>,
+    /// For all of the light.
     rays: f32,
 }
 
-impl BallPatterns {
+impl Cones {
     /// `rays`, about.
     pub(super) fn new(rays: u32) -> Self {
         let most = rays.clamp(4, MOST_RAYS).next_power_of_two().ilog2();
         Self {
-            picks: pattern::picks(rays),
-            cones: (2..=most).map(pattern::blocks).collect(),
+            patterns: (2..=most).map(pattern::blocks).collect(),
             #[expect(clippy::cast_precision_loss, reason = "at most 2^20 rays")]
             rays: rays as f32,
         }
     }
 
-    /// Rays into a cone that holds such a share of the light.
-    fn cone(&self, share: f32) -> &[Vec2] {
+    /// For a cone that holds such a share of the light.
+    fn of(&self, share: f32) -> &[Vec2] {
         #[expect(clippy::cast_precision_loss, reason = "at most 2^20 rays")]
         let is_enough = |cone: &&Vec<Vec2>| cone.len() as f32 >= NEARLY * share * self.rays;
-        let last = &self.cones[self.cones.len() - 1];
-        self.cones.iter().find(is_enough).unwrap_or(last)
+        let last = &self.patterns[self.patterns.len() - 1];
+        self.patterns.iter().find(is_enough).unwrap_or(last)
     }
 }
 
@@ -112,10 +109,10 @@ impl Balls {
         self.particles.is_empty()
     }
 
-    /// Irradiance.
+    /// Irradiance; rays go to the balls that `picks` pick, and into `cones`.
     pub(super) fn irradiance(
         &self,
-        patterns: &BallPatterns,
+        (picks, cones): (&[Vec2], &Cones),
         scene: &Scene,
         stand: &Stand<'_>,
     ) -> Vec3 {
@@ -123,12 +120,10 @@ impl Balls {
         let (parts, crowds) = self.particles.parts(stand, looks_into_cones);
         let alone: f32 = parts.iter().map(|part| part.irradiance).sum();
         let total = crowds.iter().map(|crowd| crowd.irradiance).sum::<f32>() + alone;
-        let mut sum = visible(&parts, stand, &patterns.picks, |part, place| {
-            self.particles.look(stand, part, place)
-        });
+        let mut sum = self.particles.of_parts(&parts, stand, picks);
         let mut beam = Beam::default();
         for crowd in &crowds {
-            let cone = patterns.cone(crowd.irradiance / total);
+            let cone = cones.of(crowd.irradiance / total);
             sum += self.seen_of(crowd, (scene, stand), cone, &mut beam);
         }
         sum
@@ -208,8 +203,10 @@ impl Fan {
 /// True if the emissive points of `prim` are sources as balls.
 pub(super) fn shines_as_balls(shader: &Shader<'_>, prim: &Prim) -> bool {
     let mesh = shader.scene().mesh_of(prim);
-    let count = || mesh.triangle_faces.chunk_by(|a, b| a == b).count();
-    mesh.is_of_balls() && is_similarity(prim.world_from_object.matrix3) && count() >= FEWEST
+    let mut points = mesh.triangle_faces.chunk_by(|a, b| a == b);
+    mesh.is_of_balls()
+        && is_similarity(prim.world_from_object.matrix3)
+        && points.nth(FEWEST - 1).is_some()
 }
 
 /// All balls that emit the same all over them, in order of prims and points.

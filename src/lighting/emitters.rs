@@ -1,7 +1,7 @@
 //! Emissive surfaces: large plane ones in closed form, others of constant radiance as clusters, both with ray-traced
 //! visibility; points as balls; textured ones sampled.
 
-use super::balls::{Ball, BallPatterns, Balls, shines_as_balls};
+use super::balls::{Ball, Balls, Cones, shines_as_balls};
 use super::clusters::Clusters;
 use super::panels::{Panel, PanelBuilder};
 use super::particles::Particles;
@@ -56,7 +56,7 @@ pub(super) struct EmitterPatterns {
     pub(super) hemisphere: Vec<Vec3>,
     pub(super) squares: Vec<Vec2>,
     picks: Vec<Vec2>,
-    balls: BallPatterns,
+    cones: Cones,
 }
 
 impl EmitterPatterns {
@@ -66,7 +66,7 @@ impl EmitterPatterns {
             hemisphere: pattern::hemisphere(rays),
             squares: pattern::square(rays),
             picks: pattern::picks(rays),
-            balls: BallPatterns::new(rays),
+            cones: Cones::new(rays),
         }
     }
 
@@ -144,7 +144,8 @@ impl Emitters {
             sum += self.clusters.irradiance(&stand, &patterns.picks);
         }
         if !self.balls.is_empty() {
-            sum += (self.balls).irradiance(&patterns.balls, shader.scene(), &stand);
+            sum +=
+                (self.balls).irradiance((&patterns.picks, &patterns.cones), shader.scene(), &stand);
         }
         if !self.particles.is_empty() {
             sum += self.particles.irradiance(&stand, &patterns.picks);

@@ -152,13 +152,18 @@ impl Particles {
     /// Irradiance; rays go to the particles that `picks` pick, a quarter of them if these agree.
     pub(super) fn irradiance(&self, stand: &Stand<'_>, picks: &[Vec2]) -> Vec3 {
         let (parts, _) = self.parts(stand, false);
-        visible(&parts, stand, picks, |part, place| {
+        self.of_parts(&parts, stand, picks)
+    }
+
+    /// The same by `parts` of them alone.
+    pub(super) fn of_parts(&self, parts: &[Part], stand: &Stand<'_>, picks: &[Vec2]) -> Vec3 {
+        visible(parts, stand, picks, |part, place| {
             self.look(stand, part, place)
         })
     }
 
     /// See [`Look`].
-    pub(super) fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<Look> {
+    fn look(&self, stand: &Stand<'_>, part: &Part, place: Vec2) -> Option<Look> {
         let (index, within) = pick(&self.sums, part, place.x);
         let source = &self.sources[index];
         let towards = (source.center - stand.origin).try_normalize()?;
