@@ -1,14 +1,15 @@
 //! Results of the whole run → their error, by the pilot's reference at its few receivers.
 
-use super::error::{mean_magnitude, relative, rms_difference, values};
+use super::error::{Weighted, relative, values};
+use super::sample::Sample;
 use crate::gather::ErrorEstimate;
 use crate::results::{Aov, AovBuffer, Results};
 
 /// What the pilot knows about the truth at its receivers.
 #[derive(Debug, Clone)]
 pub struct Check {
-    /// Which receivers of the run.
-    pub(super) picks: Vec<usize>,
+    /// Receivers of the run.
+    pub(super) sample: Sample,
     pub(super) aovs: Vec<Known>,
     /// Values of `aovs` there, almost converged.
     pub(super) truth: Results,
@@ -30,21 +31,22 @@ impl Check {
     /// Error of `results`, one estimate an AOV of theirs that the pilot measured. Costs next to nothing: the values are
     /// there.
     pub fn errors(&self, results: &Results) -> Vec<ErrorEstimate> {
-        let few = subset(results, &self.picks);
+        let few = subset(results, &self.sample.picks);
+        let weighted = Weighted(&self.sample.weights);
         let estimate = |known: &Known| {
             let run = values(&few, known.aov)?;
             let truth = values(&self.truth, known.aov)?;
             let mean = if known.mean > 0.0 {
                 known.mean
             } else {
-                mean_magnitude(&truth)
+                weighted.mean_magnitude(&truth)
             };
-            let both = relative(rms_difference(&run, &truth), mean);
+            let both = relative(weighted.rms_difference(&run, &truth), mean);
             let engine = (both * both - known.reference * known.reference).max(0.0);
             Some(ErrorEstimate {
                 aov: known.aov,
                 relative_rmse: engine.sqrt().hypot(known.fixed),
-                receivers: self.picks.len(),
+                receivers: self.sample.picks.len(),
             })
         };
         self.aovs.iter().filter_map(estimate).collect()
@@ -90,7 +92,10 @@ mod tests {
             reference: 0.06,
         };
         let mut check = Check {
-            picks: vec![0, 2],
+            sample: Sample {
+                picks: vec![0, 2],
+                weights: vec![1.0; 2],
+            },
             aovs: vec![known],
             truth: one(Aov::Visibility, &[0.5, 0.5]),
         };
@@ -102,5 +107,12 @@ mod tests {
         check.aovs[0].fixed = 0.06;
         assert!((check.errors(&results)[0].relative_rmse - 0.1).abs() < 1e-6);
         assert!(check.errors(&Results::default()).is_empty());
+        // One that stands for three times as many, and is right: the other's tenth is that of a quarter.
+        check.aovs[0].fixed = 0.0;
+        check.aovs[0].reference = 0.0;
+        check.sample.weights = vec![1.5, 0.5];
+        let results = one(Aov::Occlusion, &[0.5, 9.0, 0.45]);
+        let found = check.errors(&results)[0].relative_rmse;
+        assert!((found - 0.1 * 0.25_f64.sqrt()).abs() < 1e-6, "{found}");
     }
 }

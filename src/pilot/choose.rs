@@ -7,9 +7,10 @@ mod judge;
 use super::check::Check;
 use super::clock::Clock;
 use super::crowd::crowd;
-use super::error::{mean_magnitude, measured_as, relative, rms_difference, values};
+use super::error::{Weighted, measured_as, relative, values};
 use super::image::Image;
 use super::light::{self, LightError};
+use super::sample::Sample;
 use super::{Candidate, Maps, Method, Outcome, Pick, Pilot, Trial};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::estimate::spread;
@@ -79,23 +80,30 @@ const GLANCE: usize = 16;
 /// When cancelled.
 pub fn choose(pilot: &Pilot<'_, '_>, diagnostics: &Diagnostics) -> Result<Outcome, Cancelled> {
     let start = Clock::start();
-    let picks = picks(pilot.receivers.len());
-    let few = pilot.receivers.subset(&picks);
     let coarse = (pilot.rays)(FIRST_RUNG, 0.0);
-    let light = light::measure(pilot, coarse.as_ref(), &few, diagnostics)?;
+    let count = looked_at(pilot.receivers.len());
+    let sample = Sample::of_run(pilot, coarse.as_ref(), count, diagnostics)?;
+    let few = pilot.receivers.subset(&sample.picks);
+    let looked = (&few, Weighted(&sample.weights));
+    let light = light::measure(pilot, coarse.as_ref(), looked, diagnostics)?;
     let image = match pilot.maps {
         Maps::Never => None,
         _ => Image::measure(pilot, coarse.as_ref(), &light, diagnostics)?,
     };
-    let mut bench = Bench::new(pilot, (picks, few), (light, image), diagnostics);
+    let mut bench = Bench::new(pilot, (sample, few), (light, image), diagnostics);
     let mut outcome = bench.choose()?;
     outcome.seconds = start.seconds();
     Ok(outcome)
 }
 
-/// The receivers that a pilot looks at, of `count`.
+/// Receivers spread over `count` of them, as many as a pilot looks at.
 pub fn picks(count: usize) -> Vec<usize> {
-    spread(count, (count / ONE_IN).clamp(FEWEST, MOST).min(count))
+    spread(count, looked_at(count))
+}
+
+/// How many receivers a pilot looks at, of `count`.
+fn looked_at(count: usize) -> usize {
+    (count / ONE_IN).clamp(FEWEST, MOST).min(count)
 }
 
 /// Rays that err by so many `times` what `rays` do; 16 at least, or `rays`.
@@ -121,10 +129,10 @@ struct Bench<'b, 'a, 'c> {
     pilot: &'b Pilot<'a, 'c>,
     diagnostics: &'b Diagnostics,
     scene: GatherScene<'a>,
-    /// The pilot's receivers, which of all they are, and every other one of them.
+    /// The pilot's receivers, which of all they are, and every other one of them with its weight.
     few: Receivers,
-    picks: Vec<usize>,
-    half: Receivers,
+    sample: Sample,
+    half: (Receivers, Vec<f64>),
     /// Neighbors, which tell what a receiver of the run costs.
     crowd: Receivers,
     light: LightError,
@@ -207,18 +215,19 @@ impl Best {
 impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
     fn new(
         pilot: &'b Pilot<'a, 'c>,
-        (picks, few): (Vec<usize>, Receivers),
+        (sample, few): (Sample, Receivers),
         (light, image): (LightError, Option<Image>),
         diagnostics: &'b Diagnostics,
     ) -> Self {
         let half = few.subset(&(0..few.len()).step_by(2).collect::<Vec<_>>());
+        let weights = sample.weights.iter().step_by(2).copied().collect();
         let mut bench = Self {
             scene: pilot.scenes.engine(),
             pilot,
             diagnostics,
             few,
-            picks,
-            half,
+            sample,
+            half: (half, weights),
             crowd: crowd(pilot.receivers),
             light,
             image,
@@ -356,8 +365,14 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         })
     }
 
-    /// Relative error of `run` for each AOV, when `truth`'s squared error is `share` times its own.
-    fn errors(&self, run: &Results, truth: &Results, share: f64) -> Vec<f64> {
+    /// Relative error of `run` for each AOV, when `truth`'s squared error is `share` times its own; both of receivers that count as
+    /// `weighted` says.
+    fn errors(
+        &self,
+        (run, truth): (&Results, &Results),
+        share: f64,
+        weighted: Weighted<'_>,
+    ) -> Vec<f64> {
         let of = |one: &Measured| {
             let run = values(run, one.aov).unwrap_or_default();
             let truth = values(truth, one.aov).unwrap_or_default();
@@ -365,9 +380,9 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             let mean = if one.mean > 0.0 {
                 one.mean
             } else {
-                mean_magnitude(&truth)
+                weighted.mean_magnitude(&truth)
             };
-            relative(rms_difference(&run, &truth), mean) / (1.0 + share).sqrt()
+            relative(weighted.rms_difference(&run, &truth), mean) / (1.0 + share).sqrt()
         };
         self.aovs.iter().map(of).collect()
     }
@@ -385,16 +400,16 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
 
     /// Double and redouble rays at half of the receivers until the number that the tolerance needs is in sight.
     fn climb(&self) -> Result<Ladder, Cancelled> {
+        let (half, weights) = &self.half;
+        let weighted = Weighted(weights);
         let mut rays = FIRST_RUNG;
         let mut law = LAW;
         let mut before: Option<f64> = None;
-        let mut low = self.rays(f64::from(rays), turn(1), &self.half)?.results;
+        let mut low = self.rays(f64::from(rays), turn(1), half)?.results;
         for rung in 2.. {
-            let high = self
-                .rays(f64::from(rays * RUNG), turn(rung), &self.half)?
-                .results;
+            let high = self.rays(f64::from(rays * RUNG), turn(rung), half)?.results;
             let share = f64::from(RUNG).powf(-2.0 * law);
-            let errors = self.errors(&low, &high, share);
+            let errors = self.errors((&low, &high), share, weighted);
             let ratio = self.ratio(&errors);
             if let Some(before) = before.filter(|_| ratio > 0.0) {
                 law = ((before / ratio).ln() / f64::from(RUNG).ln()).clamp(LAWS.0, LAWS.1);
@@ -458,8 +473,13 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
     }
 
     /// Errors of `run` against the `reference` of a judge, whose own (known from that of the chosen rays) is subtracted.
-    fn without_reference(&self, run: &Results, reference: &Results, judge: &Judge) -> Vec<f64> {
-        self.errors(run, reference, 0.0)
+    fn without_reference(
+        &self,
+        run_and_reference: (&Results, &Results),
+        judge: &Judge,
+        weighted: Weighted<'_>,
+    ) -> Vec<f64> {
+        self.errors(run_and_reference, 0.0, weighted)
             .iter()
             .zip(&judge.errors)
             .map(|(both, rays)| (both * both - judge.share * rays * rays).max(0.0).sqrt())
@@ -530,7 +550,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             truth.buffers.push(values);
         }
         Some(Check {
-            picks: self.picks.clone(),
+            sample: self.sample.clone(),
             aovs,
             truth,
         })

@@ -40,6 +40,31 @@ pub fn rms_difference(a: &[f64], b: &[f64]) -> f64 {
     (square / a.len().max(1) as f64).sqrt()
 }
 
+/// What receivers count, whose values, all components of one after the other, are compared.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Weighted<'a>(pub(super) &'a [f64]);
+
+impl Weighted<'_> {
+    /// [`rms_difference`] by weight.
+    pub(super) fn rms_difference(self, a: &[f64], b: &[f64]) -> f64 {
+        let squares = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b));
+        self.mean(squares).sqrt()
+    }
+
+    /// [`mean_magnitude`] by weight.
+    pub(super) fn mean_magnitude(self, values: &[f64]) -> f64 {
+        self.mean(values.iter().map(|x| x.abs()))
+    }
+
+    /// Sum of each value times its receiver's weight, over how many there are; 0 without values.
+    pub(super) fn mean(self, values: impl ExactSizeIterator<Item = f64>) -> f64 {
+        let count = values.len();
+        let components = (count / self.0.len().max(1)).max(1);
+        let weighted = |(i, value): (usize, f64)| value * self.0[i / components];
+        values.enumerate().map(weighted).sum::<f64>() / count.max(1) as f64
+    }
+}
+
 /// Mean magnitude; 0 without values.
 pub fn mean_magnitude(values: &[f64]) -> f64 {
     values.iter().map(|x| x.abs()).sum::<f64>() / values.len().max(1) as f64

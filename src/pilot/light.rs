@@ -1,6 +1,6 @@
 //! How wrong direct light is at its own sample counts, which no engine changes, and how many samples a tolerance needs.
 
-use super::error::{mean_magnitude, measured_as, relative, rms_difference, values};
+use super::error::{Weighted, measured_as, relative, values};
 use super::{Method, Pilot};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::{GatherScene, RaysSettings};
@@ -50,7 +50,7 @@ pub(super) struct Reflected {
 
 impl Reflected {
     /// That of `values` in the `colors` of the same receivers.
-    fn of(values: &[f64], colors: &[f64]) -> Self {
+    fn of(values: &[f64], colors: &[f64], weighted: Weighted<'_>) -> Self {
         let share = |(&part, &whole): (&f64, &f64)| {
             if whole > 0.0 {
                 (part / whole).clamp(0.0, 1.0)
@@ -58,12 +58,10 @@ impl Reflected {
                 0.0
             }
         };
-        let square: f64 = (values.iter().zip(colors))
-            .map(|it| share(it).powi(2))
-            .sum();
+        let squares = (values.iter().zip(colors)).map(|it| share(it).powi(2));
         Self {
-            mean: mean_magnitude(values),
-            share: (square / values.len().max(1) as f64).sqrt(),
+            mean: weighted.mean_magnitude(values),
+            share: weighted.mean(squares).sqrt(),
         }
     }
 }
@@ -95,11 +93,11 @@ fn is_lit(aov: Aov) -> bool {
     aov.needs_direct() || aov.needs_environment()
 }
 
-/// Measure direct light at `receivers`.
+/// Measure direct light at `receivers`, which count as much as `weighted` says.
 pub(super) fn measure(
     pilot: &Pilot<'_, '_>,
     engine: &dyn Method,
-    receivers: &Receivers,
+    (receivers, weighted): (&Receivers, Weighted<'_>),
     diagnostics: &Diagnostics,
 ) -> Result<LightError, Cancelled> {
     let aovs = pilot.aovs;
@@ -120,11 +118,11 @@ pub(super) fn measure(
         .collect();
     let means: Vec<f64> = columns
         .iter()
-        .map(|column| mean_magnitude(column))
+        .map(|column| weighted.mean_magnitude(column))
         .collect();
     let reflected = color.and_then(|color| {
         let reflected = values(&run, Aov::DiffuseIndirect)?;
-        Some(Reflected::of(&reflected, &columns[color]))
+        Some(Reflected::of(&reflected, &columns[color], weighted))
     });
     let mut errors = vec![0.0; aovs.len()];
     let lit = aovs.iter().any(|&aov| is_lit(aov));
@@ -132,7 +130,7 @@ pub(super) fn measure(
     if let Some(finer) = &finer {
         for (i, &aov) in aovs.iter().enumerate() {
             if let Some(better) = values(finer, measured_as(aov)) {
-                let both = rms_difference(&columns[i], &better);
+                let both = weighted.rms_difference(&columns[i], &better);
                 let own = both / (1.0 + RaysSettings::REFERENCE_ERROR_SHARE).sqrt();
                 errors[i] = relative(own, means[i]);
             }
@@ -175,10 +173,10 @@ mod tests {
     #[test]
     fn a_part_of_the_color_is_told_by_its_mean_and_its_share_at_single_receivers() {
         // All of one color, a tenth of a bright one, and nothing in the dark.
-        let found = Reflected::of(&[0.2, 0.4, 0.0], &[0.2, 4.0, 0.0]);
+        let found = Reflected::of(&[0.2, 0.4, 0.0], &[0.2, 4.0, 0.0], Weighted(&[1.0; 3]));
         assert!((found.mean - 0.2).abs() < 1e-12);
         assert!((found.share - (1.01_f64 / 3.0).sqrt()).abs() < 1e-12);
-        assert_eq!(Reflected::of(&[], &[]).share, 0.0);
+        assert_eq!(Reflected::of(&[], &[], Weighted(&[])).share, 0.0);
     }
 
     #[test]

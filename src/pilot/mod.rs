@@ -13,6 +13,7 @@ pub mod error;
 mod image;
 mod light;
 mod question;
+mod sample;
 mod sky;
 
 pub use check::Check;

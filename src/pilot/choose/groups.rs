@@ -3,6 +3,7 @@
 use super::{Bench, Judge};
 use crate::diagnostics::Cancelled;
 use crate::gather::{self, estimate::spread};
+use crate::pilot::error::Weighted;
 use crate::pilot::{Candidate, Method, check};
 use crate::receivers::Receivers;
 
@@ -37,7 +38,7 @@ impl Groups {
 impl Bench<'_, '_, '_> {
     /// Seconds a receiver of `method`, which sees groups, by few of them.
     pub(super) fn glanced(&self, method: &dyn Method) -> Result<f64, Cancelled> {
-        let groups = Groups::around(self.pilot.receivers, &self.picks, FEW_GROUPS);
+        let groups = Groups::around(self.pilot.receivers, &self.sample.picks, FEW_GROUPS);
         Ok(self.look(method, &groups.receivers)?.seconds_per_receiver)
     }
 
@@ -49,17 +50,21 @@ impl Bench<'_, '_, '_> {
     ) -> Result<(f64, Vec<f64>), Cancelled> {
         if !candidate.sees_groups {
             let look = self.look(method, &self.few)?;
-            let errors = self.without_reference(&look.results, &judge.reference, judge);
+            let both = (&look.results, &judge.reference);
+            let weighted = Weighted(&self.sample.weights);
+            let errors = self.without_reference(both, judge, weighted);
             return Ok((look.seconds_per_receiver, errors));
         }
         let groups = match self.groups.take() {
             Some(groups) => groups,
-            None => Groups::around(self.pilot.receivers, &self.picks, GROUPS),
+            None => Groups::around(self.pilot.receivers, &self.sample.picks, GROUPS),
         };
         let look = self.look(method, &groups.receivers)?;
         let run = check::subset(&look.results, &groups.places);
         let reference = check::subset(&judge.reference, &groups.few);
-        let errors = self.without_reference(&run, &reference, judge);
+        let weights = &self.sample.weights;
+        let weights: Vec<f64> = groups.few.iter().map(|&k| weights[k]).collect();
+        let errors = self.without_reference((&run, &reference), judge, Weighted(&weights));
         self.groups = Some(groups);
         Ok((look.seconds_per_receiver, errors))
     }

@@ -3,6 +3,7 @@
 use super::{AIM, Bench, FEWEST_RAYS, Judge, LAW, MOST_RAYS, REFERENCE, round, turn};
 use crate::diagnostics::Cancelled;
 use crate::pilot::Trial;
+use crate::pilot::error::Weighted;
 use crate::results::Results;
 
 /// Where the error of the rays chosen promises that so small a part of them would do, these are looked at too: the ladder's
@@ -93,7 +94,9 @@ impl Bench<'_, '_, '_> {
     /// What so many rays hold at all pilot receivers.
     fn hold(&self, rays: f64, reference: &Reference) -> Result<Held, Cancelled> {
         let look = self.rays(rays, 0.0, &self.few)?;
-        let errors = self.errors(&look.results, &reference.results, reference.share(rays));
+        let both = (&look.results, &reference.results);
+        let weighted = Weighted(&self.sample.weights);
+        let errors = self.errors(both, reference.share(rays), weighted);
         Ok(Held {
             rays,
             lone_seconds: look.seconds_per_receiver,

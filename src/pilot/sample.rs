@@ -1,0 +1,173 @@
+//! Which receivers a pilot looks at: more of those where much light is, each standing for fewer.
+//!
+//! Errors are large where light is. Under a sky of a few bright areas 3 % of the receivers held 0.6 of the squared error, and
+//! 256 receivers spread evenly told 1.5 % where all had 2.0. With receivers picked by their light, in part, what is told
+//! scatters half as much (teapots under a sky, 512², 400 draws each, 90 % of them within: 5 % asked for 0.79 to 1.23 of the
+//! truth evenly, 0.89 to 1.11 by light; 2 % 0.69 to 1.30, 0.84 to 1.20).
+
+use super::error::{mean_magnitude, values};
+use super::{Method, Pilot};
+use crate::diagnostics::{Cancelled, Diagnostics};
+use crate::gather::estimate::spread;
+use crate::results::Results;
+
+/// Receivers whose light is looked at for each one picked: 2048 for 256.
+const LOOKS: usize = 8;
+
+/// Share of the picks that no light has a say in: noise of darkness counts too.
+const EVEN: f64 = 0.3;
+
+/// Receivers and how much each counts.
+#[derive(Debug, Clone)]
+pub(super) struct Sample {
+    /// Which of all, in order.
+    pub(super) picks: Vec<usize>,
+    /// What the square of each one's error counts: such a mean is that of all receivers.
+    pub(super) weights: Vec<f64>,
+}
+
+impl Sample {
+    /// `count` of `all` receivers, each as good as the other.
+    pub(super) fn even(all: usize, count: usize) -> Self {
+        let picks = spread(all, count);
+        let weights = vec![1.0; picks.len()];
+        Self { picks, weights }
+    }
+
+    /// About `count` of `looked`, in order, by the light that was seen there.
+    fn by_light(looked: &[usize], light: &[f64], count: usize) -> Self {
+        let mean = mean_magnitude(light);
+        if mean <= 0.0 || !mean.is_finite() {
+            return Self::every(looked, count);
+        }
+        let share = |light: f64| EVEN + (1.0 - EVEN) * light / mean;
+        // A comb over the running sum: neighbors in order are neighbors in space, and each stretch is picked of.
+        let step = looked.len() as f64 / count as f64;
+        let (mut sum, mut teeth) = (0.0, 0.5);
+        let (mut picks, mut weights) = (Vec::new(), Vec::new());
+        for (&i, &light) in looked.iter().zip(light) {
+            sum += share(light);
+            let mut hits = 0.0;
+            while teeth * step < sum {
+                hits += 1.0;
+                teeth += 1.0;
+            }
+            if hits > 0.0 {
+                picks.push(i);
+                weights.push(hits / share(light));
+            }
+        }
+        let scale = picks.len() as f64 / count as f64;
+        weights.iter_mut().for_each(|weight| *weight *= scale);
+        Self { picks, weights }
+    }
+
+    /// `count` of `looked`, each as good as the other.
+    fn every(looked: &[usize], count: usize) -> Self {
+        let few = spread(looked.len(), count.min(looked.len()));
+        Self {
+            weights: vec![1.0; few.len()],
+            picks: few.into_iter().map(|k| looked[k]).collect(),
+        }
+    }
+
+    /// `count` receivers of `pilot`'s run, by what light `engine` sees there that it alone sees; evenly where it is asked for
+    /// none, or maps may be, whose errors are those of edges.
+    pub(super) fn of_run(
+        pilot: &Pilot<'_, '_>,
+        engine: &dyn Method,
+        count: usize,
+        diagnostics: &Diagnostics,
+    ) -> Result<Self, Cancelled> {
+        let all = pilot.receivers.len();
+        let aovs: Vec<_> = (pilot.aovs.iter().copied())
+            .filter(|aov| aov.needs_indirect() && aov.error_of().is_none())
+            .collect();
+        let is_even = aovs.is_empty() || !matches!(pilot.maps, super::Maps::Never);
+        if is_even || all <= count {
+            return Ok(Self::even(all, count));
+        }
+        let looked = spread(all, (LOOKS * count).min(all));
+        let few = pilot.receivers.subset(&looked);
+        let seen = engine.gather(pilot.scenes.engine(), &few, &aovs, diagnostics)?;
+        Ok(Self::by_light(&looked, &light(&seen, few.len()), count))
+    }
+}
+
+/// Light of each of `count` receivers, every AOV over its mean.
+fn light(seen: &Results, count: usize) -> Vec<f64> {
+    let mut sums = vec![0.0; count];
+    for buffer in &seen.buffers {
+        let values = values(seen, buffer.aov).unwrap_or_default();
+        let mean = mean_magnitude(&values);
+        let components = (values.len() / count.max(1)).max(1);
+        if mean > 0.0 && mean.is_finite() {
+            for (sum, value) in sums.iter_mut().zip(values.chunks(components)) {
+                *sum += mean_magnitude(value) / mean;
+            }
+        }
+    }
+    sums
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::error::Weighted;
+    use super::*;
+    use crate::results::{Aov, AovBuffer};
+
+    /// A few receivers ten times as bright as the others, and errors of a tenth of the light.
+    fn lit(count: usize) -> (Vec<f64>, f64) {
+        let light: Vec<f64> = (0..count)
+            .map(|i| if i % 50 == 7 { 10.0 } else { 1.0 })
+            .collect();
+        let square: f64 = light.iter().map(|x| x * x).sum();
+        (light, 0.1 * (square / count as f64).sqrt())
+    }
+
+    #[test]
+    fn receivers_picked_by_light_tell_the_error_of_all() {
+        let (light, truth) = lit(4_000);
+        let looked: Vec<usize> = (0..light.len()).collect();
+        let sample = Sample::by_light(&looked, &light, 256);
+        assert!(sample.picks.is_sorted() && sample.picks.len() <= 256 && sample.picks.len() > 200);
+        let bright = sample.picks.iter().filter(|&&i| light[i] > 5.0).count();
+        assert!(bright > 30, "{bright} of 80 are bright");
+        let weighted = Weighted(&sample.weights);
+        let few: Vec<f64> = sample.picks.iter().map(|&i| light[i]).collect();
+        let off: Vec<f64> = few.iter().map(|x| 1.1 * x).collect();
+        let told = weighted.rms_difference(&few, &off);
+        assert!((told / truth - 1.0).abs() < 0.05, "{told} of {truth}");
+        let mean = light.iter().sum::<f64>() / light.len() as f64;
+        assert!((weighted.mean_magnitude(&few) / mean - 1.0).abs() < 0.05);
+    }
+
+    #[test]
+    fn where_all_is_alike_or_dark_all_count_alike() {
+        let looked: Vec<usize> = (0..2_048).map(|i| 3 * i).collect();
+        for light in [1.0, 0.0, f64::NAN] {
+            let sample = Sample::by_light(&looked, &vec![light; looked.len()], 256);
+            assert_eq!(sample.picks.len(), 256);
+            let sum: f64 = sample.weights.iter().map(|w| (w - 1.0).abs()).sum();
+            assert!(sum < 1e-6, "{sum}");
+        }
+        assert_eq!(Sample::even(10, 20).picks, (0..10).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn every_aov_has_the_same_say_in_what_is_bright() {
+        let buffer = |aov, data: Vec<f32>| AovBuffer { aov, data };
+        let seen = Results {
+            buffers: vec![
+                buffer(Aov::IrradianceIndirect, vec![0.0, 0.0, 0.0, 2.0, 2.0, 2.0]),
+                buffer(Aov::RadianceSh, vec![0.0; 2 * Aov::RadianceSh.components()]),
+                buffer(
+                    Aov::DiffuseIndirect,
+                    vec![200.0, 200.0, 200.0, 0.0, 0.0, 0.0],
+                ),
+            ],
+            ..Results::default()
+        };
+        assert_eq!(light(&seen, 2), [2.0, 2.0]);
+    }
+}
