@@ -165,6 +165,7 @@ impl<'a> Setup<'a> {
             receivers,
             aovs,
             tolerance,
+            evened: 1.0,
             rays: &rays,
             share: &|_| Ok(None),
             candidates,

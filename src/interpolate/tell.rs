@@ -18,9 +18,9 @@ const FEWEST_CHECKED: usize = 256;
 /// Checked receivers of a kind that tell something about it.
 const FEWEST_OF_KIND: usize = 8;
 
-/// Blended values of a kind may differ from gathered ones by this much of the tolerance: the engine's own error, by which
-/// neighbors differ a little, is in that. Rooms and teapots have 0.7 to 1.1, a scan with pits 3 to 15.
-const UNTRUE: f64 = 1.3;
+/// Blended values of a kind may differ from gathered ones by this much of the tolerance: both may be off by it. Rooms and teapots
+/// have 0.7 to 1.3, a scan with pits 3 to 15.
+const UNTRUE: f64 = std::f64::consts::SQRT_2;
 
 /// Seeds may say of a receiver, by weight, what is this much of the tolerance off the blend; and times that cells where it is
 /// more are cut. On a curved lip seeds beside a cell foretell far more than there is: under a sky two teapots on a plane had

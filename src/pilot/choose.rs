@@ -1,13 +1,14 @@
 //! The choice itself.
 
 mod by_maps;
+mod errors;
 mod groups;
 mod judge;
 
 use super::check::Check;
 use super::clock::Clock;
 use super::crowd::crowd;
-use super::error::{Weighted, measured_as, relative, values};
+use super::error::{Weighted, measured_as};
 use super::image::Image;
 use super::light::{self, LightError};
 use super::sample::Sample;
@@ -154,6 +155,8 @@ struct Measured {
     mean: f64,
     /// What error of the engine it allows.
     allowed: f64,
+    /// How many times that of rays.
+    evened: f64,
     /// Its error that no engine changes.
     fixed: f64,
     /// True if it only asks for the sky, which maps see too.
@@ -262,12 +265,14 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             .map_or(f64::INFINITY, |reflected| {
                 LOOSEST_REFLECTION * tolerance / reflected.share * reflected.mean / mean
             });
+        let is_sky = maps::supports(aov);
         self.aovs.push(Measured {
             aov: measured,
             mean,
             allowed: left.max(least).sqrt().min(most),
+            evened: if is_sky { self.pilot.evened } else { 1.0 },
             fixed,
-            is_sky: maps::supports(aov),
+            is_sky,
         });
     }
 
@@ -365,39 +370,6 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         })
     }
 
-    /// Relative error of `run` for each AOV, when `truth`'s squared error is `share` times its own; both of receivers that count as
-    /// `weighted` says.
-    fn errors(
-        &self,
-        (run, truth): (&Results, &Results),
-        share: f64,
-        weighted: Weighted<'_>,
-    ) -> Vec<f64> {
-        let of = |one: &Measured| {
-            let run = values(run, one.aov).unwrap_or_default();
-            let truth = values(truth, one.aov).unwrap_or_default();
-            // The means of an engine that sees little light are that of all light: what is asked for.
-            let mean = if one.mean > 0.0 {
-                one.mean
-            } else {
-                weighted.mean_magnitude(&truth)
-            };
-            relative(weighted.rms_difference(&run, &truth), mean) / (1.0 + share).sqrt()
-        };
-        self.aovs.iter().map(of).collect()
-    }
-
-    /// Each of `errors` over what is allowed.
-    fn ratios(&self, errors: &[f64]) -> Vec<f64> {
-        let aovs = errors.iter().zip(&self.aovs);
-        aovs.map(|(error, one)| error / one.allowed).collect()
-    }
-
-    /// The worst of [`Self::ratios`].
-    fn ratio(&self, errors: &[f64]) -> f64 {
-        self.ratios(errors).into_iter().fold(0.0, f64::max)
-    }
-
     /// Double and redouble rays at half of the receivers until the number that the tolerance needs is in sight.
     fn climb(&self) -> Result<Ladder, Cancelled> {
         let (half, weights) = &self.half;
@@ -459,7 +431,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             return Ok(None);
         }
         let (seconds_per_receiver, errors) = self.tried((candidate, method.as_ref()), judge)?;
-        let ratio = self.ratio(&errors);
+        let ratio = self.ratio_alone(&errors);
         trial.seconds_per_receiver = seconds_per_receiver;
         trial.error_over_tolerance = Some(ratio);
         self.trials.push(trial);
@@ -470,20 +442,6 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             AIM
         };
         Ok((ratio <= aim && seconds < best).then_some((seconds, errors)))
-    }
-
-    /// Errors of `run` against the `reference` of a judge, whose own (known from that of the chosen rays) is subtracted.
-    fn without_reference(
-        &self,
-        run_and_reference: (&Results, &Results),
-        judge: &Judge,
-        weighted: Weighted<'_>,
-    ) -> Vec<f64> {
-        self.errors(run_and_reference, 0.0, weighted)
-            .iter()
-            .zip(&judge.errors)
-            .map(|(both, rays)| (both * both - judge.share * rays * rays).max(0.0).sqrt())
-            .collect()
     }
 
     fn outcome(&mut self, best: &Best, judge: Option<Judge>) -> Outcome {

@@ -19,6 +19,8 @@ pub struct Pilot<'a, 'c> {
     pub aovs: &'a [Aov],
     /// Relative RMSE to meet, above 0.
     pub tolerance: f64,
+    /// How many times what is open may err by rays: above 1 where neighbors will even it out.
+    pub evened: f64,
     /// Rays: how many, and the turn of their pattern (0 = the run's).
     pub rays: &'a dyn Fn(u32, f32) -> Box<dyn Method + 'a>,
     /// Share of the receivers that so many rays would see for where receivers speak for each other; `None` where they do not,

@@ -81,7 +81,7 @@ impl Choice {
                 handed_over,
                 others: others.unwrap_or(FEWEST_RAYS),
                 is_broken: false,
-                few_see: outcome.share.is_some_and(|share| share < FEW),
+                few_see: outcome.share.is_none_or(|share| share < FEW),
             }),
         };
         Self {
@@ -262,7 +262,8 @@ pub(super) fn promise_of_rays(outcome: &Outcome, tolerance: f64) -> Option<Promi
     })
 }
 
-/// Share of the receivers that rays see for where those speak for the others in place of maps that broke their promise.
+/// Share of the receivers that rays see for, if anybody knows, where those speak for the others in place of maps that broke their
+/// promise.
 const FEW: f64 = 0.5;
 
 /// Rays of a run whose AOVs do not depend on them.
@@ -336,6 +337,10 @@ fn round(x: f32) -> f64 {
 /// Share of the tolerance that is left to rays where receivers speak for others: squared errors add up.
 const SHARE_OF_RAYS: f64 = 0.95;
 
+/// What is open may err by this much more before neighbors even it out: of what rays err by in it at pixels of a Cornell box,
+/// teapots and a room, 512², 0.54 to 0.95 was left, at 5 and 2 %.
+const EVENED: f64 = 1.12;
+
 /// Rays of each receiver, at most, that tell how many see for others.
 const FORESEEING_RAYS: u32 = 512;
 
@@ -378,10 +383,10 @@ pub(super) fn look(
     tolerance: f64,
     diagnostics: &Diagnostics,
 ) -> Result<Outcome, Error> {
-    let tolerance = if interpolates(stand) {
-        SHARE_OF_RAYS * tolerance
+    let (tolerance, evened) = if interpolates(stand) {
+        (SHARE_OF_RAYS * tolerance, EVENED)
     } else {
-        tolerance
+        (tolerance, 1.0)
     };
     let candidates = candidates(stand);
     let world = stand.world();
@@ -412,6 +417,7 @@ pub(super) fn look(
         receivers: stand.receivers,
         aovs: stand.aovs,
         tolerance,
+        evened,
         rays: &rays,
         share: &share,
         candidates: &candidates,

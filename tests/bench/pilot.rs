@@ -83,6 +83,7 @@ impl Question<'_> {
             receivers: self.receivers,
             aovs: &[aov],
             tolerance,
+            evened: 1.0,
             rays: &rays,
             share: &|_| Ok(None),
             candidates: &[],

@@ -7,8 +7,9 @@ use crate::pilot::error::Weighted;
 use crate::results::Results;
 
 /// Where the error of the rays chosen promises that so small a part of them would do, these are looked at too: the ladder's
-/// few receivers and rays can be far off (the room of `examples`, 2 %: 2568 rays, of which 1109 do).
-const FAR_FEWER: f64 = 0.6;
+/// few receivers and rays can be far off (the room of `examples`, 2 %: 2568 rays, of which 1109 do). Where it is more, the law of
+/// errors tells what will come of it.
+const FAR_FEWER: f64 = 0.75;
 
 /// Of the reference's rays, so many are told by it at most: its share of the difference, 0.42 of the square, is known from
 /// the law of their errors to a few percent.
@@ -39,6 +40,20 @@ struct Held {
     errors: Vec<f64>,
     /// The worst of them over what is allowed.
     ratio: f64,
+}
+
+impl Held {
+    /// As many rays as are needed to come as close as is aimed at, if these are closer.
+    fn trim(&mut self) {
+        let fewer = (self.rays * (self.ratio / AIM).powf(1.0 / LAW)).max(FEWEST_RAYS);
+        if fewer < self.rays {
+            let more = (self.rays / fewer).powf(LAW);
+            self.lone_seconds *= fewer / self.rays;
+            self.errors.iter_mut().for_each(|error| *error *= more);
+            self.ratio *= more;
+            self.rays = fewer;
+        }
+    }
 }
 
 impl Bench<'_, '_, '_> {
@@ -73,6 +88,7 @@ impl Bench<'_, '_, '_> {
             }
             law = (other.ratio / held.ratio).ln() / (held.rays / other.rays).ln();
         }
+        held.trim();
         let crowd = self.rays(held.rays, 0.0, &self.crowd)?.seconds_per_receiver;
         let seconds_per_receiver = crowd.min(held.lone_seconds);
         self.trials.push(Trial {
@@ -103,5 +119,31 @@ impl Bench<'_, '_, '_> {
             ratio: self.ratio(&errors),
             errors,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rays_beyond_what_is_aimed_at_are_left_out() {
+        let held = |ratio: f64| Held {
+            rays: 800.0,
+            lone_seconds: 8.0,
+            errors: vec![0.5 * ratio, ratio],
+            ratio,
+        };
+        let mut one = held(0.8);
+        one.trim();
+        assert!((one.ratio - AIM).abs() < 1e-12 && (one.errors[0] - 0.5 * AIM).abs() < 1e-12);
+        assert!((one.rays - 800.0 * (0.8_f64 / 0.9).powf(4.0 / 3.0)).abs() < 1e-9);
+        assert!((one.lone_seconds - 0.01 * one.rays).abs() < 1e-12);
+        let mut close = held(0.95);
+        close.trim();
+        assert_eq!((close.rays, close.ratio), (800.0, 0.95));
+        let mut none = held(0.0);
+        none.trim();
+        assert_eq!((none.rays, none.ratio), (FEWEST_RAYS, 0.0));
     }
 }
