@@ -66,7 +66,7 @@ const MOST: usize = 256;
 /// 512², visibility at 5 and 1 %, AVX-512.
 const APART: f64 = 2.0;
 const BLENDING: f64 = 1.7e-6;
-const DOUBT: f64 = 1.5;
+const DOUBT: f64 = 1.15;
 
 /// Processor seconds of maps that are too few to find out whether rays at few receivers take less.
 const SOON: f64 = 1.0;

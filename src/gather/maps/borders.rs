@@ -351,6 +351,8 @@ mod tests {
         let receivers = receivers_at(&[
             (Vec3::new(-1.0, 0.3, 1.0), Vec3::X),
             (Vec3::new(-1.0, 0.3, 0.5), Vec3::X),
+            // On something at the foot of the wall.
+            (Vec3::new(-1.0, 0.3, -1.0), Vec3::Z),
         ]);
         let seen = crate::gather::maps::visibility(
             &plan,
@@ -359,7 +361,7 @@ mod tests {
             &crate::gather::maps::Wanted::default(),
             &crate::diagnostics::Diagnostics::default(),
         );
-        assert_eq!(seen.expect("nobody cancels").ambiguous, [true, false]);
+        assert_eq!(seen.expect("nobody cancels").ambiguous, [true, false, true]);
     }
 
     /// A floor and a wall at its edge x = 0, `rise` high, which share points or have their own.

@@ -122,7 +122,23 @@ fn half_hull(points: impl Iterator<Item = Vec2>, tolerance: f32) -> Vec<Vec2> {
     hull
 }
 
+/// Cosine between a receiver's normal and a flat prim's from which on this is what the receiver stands on, or a sheet upon that.
+const OWN: f32 = 0.99;
+
 impl Flat {
+    /// True if a receiver that stands on something else, at a corner with this, is so near to it that rounding tells on which
+    /// side: on the edge between two walls half of the hemisphere is covered or is not. Relative to the plan's center, `margin`
+    /// in stage units.
+    pub(super) fn is_met(&self, position: Vec3, normal: Vec3, margin: f32) -> bool {
+        let is_near = self.normal.dot(position - self.corners[0]).abs() <= margin;
+        let is_inside = |k: usize| {
+            let (from, to) = (self.corners[k], self.corners[(k + 1) % self.corners.len()]);
+            let along = to - from;
+            self.normal.cross(along).dot(position - from) >= -margin * along.length()
+        };
+        is_near && self.normal.dot(normal).abs() < OWN && (0..self.corners.len()).all(is_inside)
+    }
+
     /// As seen along `axis`; `None` edge-on.
     pub(super) fn view(&self, axis: &Axis) -> Option<FlatView> {
         let cosine = self.normal.dot(axis.direction);
@@ -146,5 +162,24 @@ impl Flat {
             edges: (0..points.len()).map(edge).collect(),
             depth: [-nr / cosine, -nu / cosine, constant / cosine],
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whoever_stands_at_the_edge_of_a_wall_meets_it_and_its_own_receivers_do_not() {
+        let wall = Flat {
+            corners: vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y],
+            normal: Vec3::Z,
+        };
+        let met = |x: f32, y: f32, z: f32, normal| wall.is_met(Vec3::new(x, y, z), normal, 1e-5);
+        // On the floor below it, on either side of rounding, and a little in front.
+        assert!(met(0.5, 0.0, 0.0, Vec3::Y) && met(0.5, -1e-6, -1e-6, Vec3::Y));
+        assert!(!met(0.5, 0.0, 1e-3, Vec3::Y) && !met(0.5, -1e-3, 0.0, Vec3::Y));
+        assert!(!met(2.0, 0.0, 0.0, Vec3::Y));
+        assert!(!met(0.5, 0.5, 0.0, Vec3::Z) && !met(0.5, 0.5, 0.0, -Vec3::Z));
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! Those with many verdicts that hung on the bias (contact, coincident surfaces), and vertices that the faces around
 //! them cover themselves, at no distance at all: creases of rough scans, and folded fans. Measured on a dragon, one
-//! folded vertex of 1259 raised the error from 1.4 to 3.3 %. And those at corners and at the open borders of other prims (`borders`).
+//! folded vertex of 1259 raised the error from 1.4 to 3.3 %. And those at corners, also with flat prims, and at the open borders of
+//! other prims (`borders`).
 
 use super::borders::{Borders, Turn};
 use super::{MapsPlan, MapsSettings, Visibility};
@@ -21,13 +22,19 @@ const TINY: f32 = 1.0 / 16.0;
 
 /// Fill `visibility.ambiguous`.
 ///
-/// `pixels`: width of those that each prim is drawn at.
+/// `pixels`: width of those that each prim is drawn at; `flat_margin`: see [`super::look::Rules`].
 pub(super) fn mark(
     (plan, pixels): (&MapsPlan<'_>, &[f32]),
     receivers: &Receivers,
-    settings: &MapsSettings,
+    (settings, flat_margin): (&MapsSettings, f32),
     visibility: &mut Visibility,
 ) {
+    let is_at_flat = |i: usize| {
+        let place = receivers.position[i] - plan.center;
+        let normal = receivers.geometric_normal[i];
+        let mut flats = plan.flats.iter();
+        flats.any(|flat| flat.is_met(place, normal, flat_margin))
+    };
     let borders = Borders::new(plan, pixels, settings.bias);
     for prim in receivers.prim.chunk_by(PartialEq::eq) {
         if let Some(prim) = plan.scene.prims.get(prim[0] as usize) {
@@ -41,6 +48,7 @@ pub(super) fn mark(
                 || (vertex(plan, receivers, i)).is_some_and(|(mesh, at)| plan.creases(mesh)[at])
                 || is_tiny(plan, pixels, receivers, i)
                 || borders.are_met(receivers.position[i], receivers.prim[i])
+                || is_at_flat(i)
         })
         .collect();
 }

@@ -199,7 +199,7 @@ pub fn visibility(
     handover::mark(
         (plan, &stage.pixels(plan)),
         receivers,
-        settings,
+        (settings, rules.flat_margin),
         &mut visibility,
     );
     Ok(visibility)
