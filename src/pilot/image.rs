@@ -1,6 +1,6 @@
 //! Light of an environment with an image: what its own samples by rays cost, against which maps may be cheaper.
 
-use super::choose::AIM;
+use super::choose::AIM_OF_MAPS;
 use super::clock::Clock;
 use super::crowd::crowd;
 use super::error::values;
@@ -70,7 +70,7 @@ impl Image {
                 truth: values(finer, aov).unwrap_or_default(),
                 mean: light.means[i],
                 truth_error: errors[i],
-                allowed: AIM * pilot.tolerance,
+                allowed: AIM_OF_MAPS * pilot.tolerance,
             },
             seconds,
             bright_seconds: each * clock.seconds(),

@@ -221,7 +221,7 @@ fn record(bid: &SkyBid, question: &Question<'_>) -> Trial {
         engine: "maps",
         knobs: knobs(&bid.settings),
         seconds_per_receiver: bid.seconds / question.total.max(1) as f64,
-        error_over_tolerance: Some(choose::AIM * bid.ratio),
+        error_over_tolerance: Some(choose::AIM_OF_MAPS * bid.ratio),
     }
 }
 

@@ -1,6 +1,6 @@
 //! What maps are asked, and what their answer means for the run.
 
-use super::{AIM, Bench, Best, Judge, LAW, Ladder, MOST, Measured, round};
+use super::{AIM_OF_MAPS, Bench, Best, Judge, LAW, Ladder, Measured, round};
 use crate::diagnostics::Cancelled;
 use crate::pilot::error::{mean_magnitude, values};
 use crate::pilot::sky::{self, SkyBid};
@@ -9,10 +9,6 @@ use crate::results::Aov;
 
 /// Directions of maps that are tried first where an image of the sky is all that is asked for.
 const IMAGE_DIRECTIONS: f64 = 128.0;
-
-/// Share of the tolerance aimed at where less than [`MOST`] receivers are looked at: what maps have wrong hangs on few of them.
-/// At the 13 480 points of the Cornell box 120 receivers told 1.8 %, and all had more than 2.
-const AIM_OF_FEW: f64 = 0.75;
 
 impl Bench<'_, '_, '_> {
     /// Maps for the sky and rays for the rest, if that takes less than `best` seconds and those of an environment with
@@ -90,11 +86,6 @@ impl Bench<'_, '_, '_> {
         let aovs = self.aovs.iter().zip(&judge.errors);
         let (first, error) = aovs.into_iter().find(|(one, _)| one.is_sky)?;
         let truth = values(&judge.reference, first.aov).unwrap_or_default();
-        let aim = if self.few.len() < MOST {
-            AIM_OF_FEW
-        } else {
-            AIM
-        };
         // Irradiance of a uniform sky is visibility, but for a factor that relative errors do not see.
         let components = (truth.len() / self.few.len().max(1)).max(1);
         let full = if first.aov == Aov::Visibility {
@@ -109,7 +100,7 @@ impl Bench<'_, '_, '_> {
             mean: mean_magnitude(&truth),
             truth,
             truth_error: judge.share.sqrt() * error,
-            allowed: aim * first.allowed,
+            allowed: AIM_OF_MAPS * first.allowed,
         })
     }
 
