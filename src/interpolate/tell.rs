@@ -22,6 +22,9 @@ const FEWEST_OF_KIND: usize = 8;
 /// have 0.7 to 1.3, a scan with pits 3 to 15.
 const UNTRUE: f64 = std::f64::consts::SQRT_2;
 
+/// So much more, over the root of their number, the mean square of few may be by chance: a handle's nine receivers had 1.5.
+const CHANCE: f64 = 2.0;
+
 /// Seeds may say of a receiver, by weight, what is this much of the tolerance off the blend; and times that cells where it is
 /// more are cut. On a curved lip seeds beside a cell foretell far more than there is: under a sky two teapots on a plane had
 /// pixels off by three times the mean, so that rays saw for all.
@@ -195,7 +198,8 @@ impl Work<'_> {
         let limit = (UNTRUE * self.settings.tolerance).powi(2);
         let is_untrue = |errors: &[(Kind, f64)]| {
             let square: f64 = errors.iter().map(|(_, square)| square).sum();
-            square / errors.len().max(1) as f64 > limit
+            let count = errors.len().max(1) as f64;
+            square / count > limit * (1.0 + CHANCE / count.sqrt())
         };
         let untrue: Vec<Kind> = (errors.chunk_by(|a, b| a.0 == b.0))
             .filter(|errors| errors.len() >= FEWEST_OF_KIND && is_untrue(errors))

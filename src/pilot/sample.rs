@@ -9,7 +9,7 @@ use super::error::{mean_magnitude, values};
 use super::{Method, Pilot};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::estimate::spread;
-use crate::results::Results;
+use crate::results::{Aov, Results};
 
 /// Receivers whose light is looked at for each one picked: 2048 for 256.
 const LOOKS: usize = 8;
@@ -71,8 +71,8 @@ impl Sample {
         }
     }
 
-    /// `count` receivers of `pilot`'s run, by what light `engine` sees there that it alone sees; evenly where it is asked for
-    /// none, or maps may be, whose errors are those of edges.
+    /// `count` receivers of `pilot`'s run, by what `engine` sees there that it alone sees; evenly where it is asked for no light:
+    /// maps may see what is open, and what these have wrong is where nobody looks for it.
     pub(super) fn of_run(
         pilot: &Pilot<'_, '_>,
         engine: &dyn Method,
@@ -80,25 +80,30 @@ impl Sample {
         diagnostics: &Diagnostics,
     ) -> Result<Self, Cancelled> {
         let all = pilot.receivers.len();
-        let aovs: Vec<_> = (pilot.aovs.iter().copied())
-            .filter(|aov| aov.needs_indirect() && aov.error_of().is_none())
-            .collect();
-        let is_even = aovs.is_empty() || !matches!(pilot.maps, super::Maps::Never);
-        if is_even || all <= count {
+        let aovs = pilot.aovs.iter().filter(|aov| aov.error_of().is_none());
+        let aovs = aovs.filter(|&&aov| pilot.scenes.depends_on_engine(aov));
+        let (mut lit, open): (Vec<Aov>, Vec<Aov>) = aovs.partition(|aov| aov.needs_indirect());
+        if lit.is_empty() || all <= count {
             return Ok(Self::even(all, count));
         }
+        lit.extend(open.first().map(|_| Aov::Visibility));
         let looked = spread(all, (LOOKS * count).min(all));
         let few = pilot.receivers.subset(&looked);
-        let seen = engine.gather(pilot.scenes.engine(), &few, &aovs, diagnostics)?;
+        let seen = engine.gather(pilot.scenes.engine(), &few, &lit, diagnostics)?;
         Ok(Self::by_light(&looked, &light(&seen, few.len()), count))
     }
 }
 
-/// Light of each of `count` receivers, every AOV over its mean.
+/// What errors at each of `count` receivers go with, every AOV's the same on average: light, and of what is open the scatter of
+/// rays of which so many are covered.
 fn light(seen: &Results, count: usize) -> Vec<f64> {
     let mut sums = vec![0.0; count];
     for buffer in &seen.buffers {
-        let values = values(seen, buffer.aov).unwrap_or_default();
+        let mut values = values(seen, buffer.aov).unwrap_or_default();
+        if buffer.aov == Aov::Visibility {
+            let scatter = |open: &mut f64| *open = (*open * (1.0 - *open)).max(0.0).sqrt();
+            values.iter_mut().for_each(scatter);
+        }
         let mean = mean_magnitude(&values);
         let components = (values.len() / count.max(1)).max(1);
         if mean > 0.0 && mean.is_finite() {
@@ -114,7 +119,7 @@ fn light(seen: &Results, count: usize) -> Vec<f64> {
 mod tests {
     use super::super::error::Weighted;
     use super::*;
-    use crate::results::{Aov, AovBuffer};
+    use crate::results::AovBuffer;
 
     /// A few receivers ten times as bright as the others, and errors of a tenth of the light.
     fn lit(count: usize) -> (Vec<f64>, f64) {
@@ -169,5 +174,11 @@ mod tests {
             ..Results::default()
         };
         assert_eq!(light(&seen, 2), [2.0, 2.0]);
+        // Of what is open, where half is.
+        let open = Results {
+            buffers: vec![buffer(Aov::Visibility, vec![0.0, 1.0, 0.5, 0.5])],
+            ..Results::default()
+        };
+        assert_eq!(light(&open, 4), [0.0, 0.0, 2.0, 2.0]);
     }
 }

@@ -12,6 +12,7 @@ mod trial;
 use self::spread::Spread;
 use self::trial::Attempt;
 use super::clock::Clock;
+use super::error::Weighted;
 use super::{Trial, choose};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::GatherScene;
@@ -67,8 +68,9 @@ const UNSURE: f64 = 0.5;
 pub(super) struct Question<'a> {
     /// With the lights of the run.
     pub(super) scene: GatherScene<'a>,
-    /// Receivers to measure at.
+    /// Receivers to measure at, and what each counts.
     pub(super) few: &'a Receivers,
+    pub(super) weighted: Weighted<'a>,
     /// Receivers of the run.
     pub(super) total: usize,
     /// At least one thing.

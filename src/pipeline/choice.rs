@@ -339,7 +339,7 @@ const SHARE_OF_RAYS: f64 = 0.95;
 
 /// What is open may err by this much more before neighbors even it out: of what rays err by in it at pixels of a Cornell box,
 /// teapots and a room, 512², 0.54 to 0.95 was left, at 5 and 2 %.
-const EVENED: f64 = 1.12;
+const EVENED: f64 = 1.05;
 
 /// Rays of each receiver, at most, that tell how many see for others.
 const FORESEEING_RAYS: u32 = 512;

@@ -2,7 +2,7 @@
 
 use super::{AIM_OF_MAPS, Bench, Best, Judge, LAW, Ladder, Measured, round};
 use crate::diagnostics::Cancelled;
-use crate::pilot::error::{mean_magnitude, values};
+use crate::pilot::error::{Weighted, values};
 use crate::pilot::sky::{self, SkyBid};
 use crate::pilot::{Maps, Pick};
 use crate::results::Aov;
@@ -69,6 +69,7 @@ impl Bench<'_, '_, '_> {
         sky::Question {
             scene: self.pilot.scenes.run,
             few: &self.few,
+            weighted: Weighted(&self.sample.weights),
             total: self.pilot.receivers.len(),
             asked: open
                 .into_iter()
@@ -97,7 +98,7 @@ impl Bench<'_, '_, '_> {
         let truth: Vec<f64> = truth.chunks(components).map(visibility).collect();
         Some(sky::Asked {
             is_image: false,
-            mean: mean_magnitude(&truth),
+            mean: Weighted(&self.sample.weights).mean_magnitude(&truth),
             truth,
             truth_error: judge.share.sqrt() * error,
             allowed: AIM_OF_MAPS * first.allowed,

@@ -4,7 +4,7 @@ use super::along::along_axes;
 use super::{Asked, DETAILS, DIRECTIONS, OWN_SHARE, Question, Start, round, worst};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::pilot::choose;
-use crate::pilot::error::{relative, rms_difference};
+use crate::pilot::error::relative;
 
 /// Relative error of the set of directions, of each thing asked for.
 pub(super) struct Spread {
@@ -68,7 +68,10 @@ impl Spread {
             }
         }
         let error = |(found, asked): (&Vec<f64>, &Asked)| {
-            let both = relative(rms_difference(found, &asked.truth), asked.mean);
+            let both = relative(
+                question.weighted.rms_difference(found, &asked.truth),
+                asked.mean,
+            );
             let own = both * both - asked.truth_error * asked.truth_error;
             // Less than a quarter of what was measured is not told by subtraction.
             own.max(both * both / 16.0).sqrt()

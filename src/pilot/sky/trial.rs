@@ -11,6 +11,7 @@ use super::{Asked, DETAILS, Question, SkyBid, Start, round, worst};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::maps::{self, MapsPlan, MapsSettings, MapsSky, SkyWanted, Visibility, Wanted};
 use crate::pilot::clock::Clock;
+use crate::pilot::error::Weighted;
 
 /// Directions of each set of a trial over those of the run, at least and at most so many.
 const SHARE: f64 = 0.0625;
@@ -73,11 +74,8 @@ struct Own {
 
 impl Own {
     /// Of errors over the mean of the truth, with two sets of so many directions.
-    fn of([first, second]: [&[f64]; 2], directions: [f64; 2]) -> Self {
-        let mean = |a: &[f64], b: &[f64]| {
-            let products = a.iter().zip(b).map(|(a, b)| a * b);
-            products.sum::<f64>() / a.len().max(1) as f64
-        };
+    fn of([first, second]: [&[f64]; 2], directions: [f64; 2], weighted: Weighted<'_>) -> Self {
+        let mean = |a: &[f64], b: &[f64]| weighted.mean(a.iter().zip(b).map(|(a, b)| a * b));
         let squares = [mean(first, first), mean(second, second)];
         let lasting = mean(first, second).clamp(0.0, squares[0].min(squares[1]));
         let scattered = |k: usize| directions[k] * (squares[k] - lasting);
@@ -116,8 +114,8 @@ impl Attempt {
             let settings = settings(set.directions);
             let seen = maps::visibility(plan, question.few, &settings, &wanted, diagnostics)?;
             seconds = clock.seconds();
-            let handed_over = seen.ambiguous.iter().filter(|&&yes| yes).count();
-            ambiguous = handed_over as f64 / question.few.len().max(1) as f64;
+            let handed_over = seen.ambiguous.iter().map(|&yes| f64::from(u8::from(yes)));
+            ambiguous = question.weighted.mean(handed_over);
             let asked = question.asked.iter().zip(&set.truth);
             *errors = asked
                 .map(|(asked, truth)| differences(asked, &seen, truth))
@@ -129,7 +127,7 @@ impl Attempt {
         Ok(Self {
             settings: settings(directions[1]),
             own: own
-                .map(|(first, second)| Own::of([first, second], directions))
+                .map(|(first, second)| Own::of([first, second], directions, question.weighted))
                 .collect(),
             seconds,
             ambiguous,
@@ -210,7 +208,7 @@ mod tests {
         let errors = |scattered: f64, signs: [f64; 4]| signs.map(|sign| 0.03 + sign * scattered);
         let first = errors(0.08, [1.0, -1.0, 1.0, -1.0]);
         let second = errors(0.04, [1.0, 1.0, -1.0, -1.0]);
-        let own = Own::of([&first, &second], [25.0, 100.0]);
+        let own = Own::of([&first, &second], [25.0, 100.0], Weighted(&[1.0; 4]));
         for (directions, expected) in [(25.0, 0.08), (100.0, 0.04), (400.0, 0.02)] {
             let error = own.error(directions);
             assert!(
@@ -219,7 +217,11 @@ mod tests {
             );
         }
         // Opposite errors: nothing stays, and no root of a negative number is taken.
-        let own = Own::of([&[0.1, -0.1], &[-0.1, 0.1]], [10.0, 10.0]);
+        let own = Own::of(
+            [&[0.1, -0.1], &[-0.1, 0.1]],
+            [10.0, 10.0],
+            Weighted(&[1.0; 2]),
+        );
         assert!((own.error(1000.0) - 0.01).abs() < 1e-9);
     }
 }
