@@ -8,6 +8,10 @@ use glam::{DMat2, DMat3, DVec3, Vec3};
 /// Neighbors that a plane is laid through.
 pub(super) const NEIGHBORS: usize = 10;
 
+/// The same to even a seed with: what rays err by in these is smaller still. 16, 24 and 40 leave 0.93, 0.88 and 0.85 of the error
+/// of 10 in a Cornell box at 5 %, 0.95, 0.95 and 0.98 at 2 %.
+pub(super) const MANY_NEIGHBORS: usize = 24;
+
 /// Neighbors without which there is no plane.
 const FEWEST: usize = 4;
 

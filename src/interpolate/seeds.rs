@@ -162,6 +162,11 @@ impl SeedIndex<'_> {
     pub(super) fn fit(&self, around: u32) -> Option<Fit> {
         fit::fit(self.seeds, &self.near(around, fit::NEIGHBORS + 1))
     }
+
+    /// The same through more of them.
+    pub(super) fn wide_fit(&self, around: u32) -> Option<Fit> {
+        fit::fit(self.seeds, &self.near(around, fit::MANY_NEIGHBORS + 1))
+    }
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use super::base;
 use super::blend::{Around, Blend};
+use super::fit::Fit;
 use super::grow::{Cell, Field, Strictness};
 use super::seeds::{ASKED, SeedIndex, Seeds};
 use super::{Fault, Kind, Work};
@@ -40,6 +41,9 @@ const MOST_DISPUTED: f64 = 0.2;
 /// seen. Cornell box, teapots, room, 512², with (1.5, 2.5): 0.79, 0.81, 0.85 of the error at 5 %, 0.81, 0.83, 0.92 at 2 %, and
 /// walls without smudges.
 const EVEN: (f64, f64) = (2.25, 3.75);
+
+/// Many neighbors are asked where they are off by less than this; where it is more, the nearest ones are.
+const EVEN_OF_MANY: f64 = 2.25;
 
 /// Values of all receivers.
 pub(super) struct Told {
@@ -229,12 +233,16 @@ impl Work<'_> {
             let Some(fit) = fit else {
                 return;
             };
-            let off = base::relative(self.base, &fit.surprise, scales) / self.settings.tolerance;
-            let believed = ((EVEN.1 - off) / (EVEN.1 - EVEN.0)).clamp(0.0, 1.0);
-            #[expect(clippy::cast_possible_truncation, reason = "a part of 1")]
-            let share = fit.share * believed as f32;
             gradient.copy_from_slice(&fit.gradient);
-            for (shift, surprise) in shift.iter_mut().zip(fit.surprise) {
+            let off = |fit: &Fit| {
+                base::relative(self.base, &fit.surprise, scales) / self.settings.tolerance
+            };
+            let wide = index.wide_fit(seed).filter(|fit| off(fit) < EVEN_OF_MANY);
+            let even = wide.as_ref().unwrap_or(&fit);
+            let believed = ((EVEN.1 - off(even)) / (EVEN.1 - EVEN.0)).clamp(0.0, 1.0);
+            #[expect(clippy::cast_possible_truncation, reason = "a part of 1")]
+            let share = even.share * believed as f32;
+            for (shift, surprise) in shift.iter_mut().zip(&even.surprise) {
                 *shift = share * surprise;
             }
         };
