@@ -144,7 +144,7 @@ pub fn gather(
         }
         let told = work.tell(&mut field, step.strictness())?;
         let untrue = if step.strictness().is_some() {
-            work.untrue(&told, &mut field)?
+            work.untrue(&told, &mut field, &fault)?
         } else {
             None
         };

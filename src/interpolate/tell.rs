@@ -43,7 +43,7 @@ const MOST_DISPUTED: f64 = 0.2;
 const EVEN: (f64, f64) = (2.25, 3.75);
 
 /// Many neighbors are asked where they are off by less than this; where it is more, the nearest ones are.
-const EVEN_OF_MANY: f64 = 2.25;
+const EVEN_OF_MANY: f64 = 1.5;
 
 /// Values of all receivers.
 pub(super) struct Told {
@@ -172,18 +172,20 @@ impl Work<'_> {
         (smooth.par_iter().zip(&asked)).map(blend).collect()
     }
 
-    /// Whose blended values are not true, if any. Some receivers are gathered at to find out, which keep what was blended:
-    /// among blended neighbors their own would be seen.
+    /// Whose blended values are not true, if any of those are that had this `fault` before. Some receivers are gathered at to
+    /// find out, which keep what was blended: among blended neighbors their own would be seen.
     pub(super) fn untrue(
         &self,
         told: &Told,
         field: &mut Field,
+        fault: &Fault,
     ) -> Result<Option<Fault>, Cancelled> {
-        let count = (told.blended.len() / CHECKED).max(FEWEST_CHECKED);
         let kind = |i: u32| self.gathering.kind(i as usize);
-        let mut picks: Vec<u32> = (spread(told.blended.len(), count).into_iter())
-            .map(|k| told.blended[k])
-            .collect();
+        let changed = told.blended.iter().filter(|&&i| fault.holds(kind(i)));
+        let changed: Vec<u32> = changed.copied().collect();
+        let count = (changed.len() / CHECKED).max(FEWEST_CHECKED);
+        let picks = spread(changed.len(), count).into_iter();
+        let mut picks: Vec<u32> = picks.map(|k| changed[k]).collect();
         picks.sort_by_key(|&i| kind(i));
         let n = self.components();
         let mut truth = Seeds::new(n);
