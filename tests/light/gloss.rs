@@ -293,7 +293,7 @@ fn picture(inputs: &str, aovs: &str) -> (Vec<f32>, serde_json::Value) {
     let near = "def Camera \"near\" { double3 xformOp:translate = (0, 0.4, 6)\nuniform token[] xformOpOrder = [\"xformOp:translate\"] }";
     let text = floor(inputs, &format!("{SKY}\n{ball}\n{near}"));
     let shot = ["--camera", "/World/near", "--image-width", "64"];
-    let flags = [&shot[..], &["--aov", aovs, "--tolerance", "0.05"]].concat();
+    let flags = [&shot[..], &["--aov", aovs, "--tolerance", "0.01"]].concat();
     let (folder, report) = rendered(&text, &flags);
     let out = folder.path().join("out.exr");
     let image = exr::prelude::read_first_rgba_layer_from_file(
@@ -320,12 +320,12 @@ fn gloss_is_as_exact_as_the_color_it_is_part_of_needs() {
     assert_eq!(aovs(&told), ["color"], "what is in the picture");
     assert_eq!(aovs(&of_both), ["color", "specular_indirect"]);
     let estimate = told["error"]["estimate"].as_f64().expect("an estimate");
-    assert!(estimate > 0.0 && estimate <= 0.05, "{estimate}");
+    assert!(estimate > 0.0 && estimate <= 0.01, "{estimate}");
     let mean = strict.iter().sum::<f32>() / strict.len() as f32;
     let squares = part.iter().zip(&strict).map(|(a, b)| (a - b).powi(2));
     let error = (squares.sum::<f32>() / strict.len() as f32).sqrt() / mean;
     // Diffuse light is the same; gloss is allowed 0.4 of the tolerance.
-    assert!(error > 0.0 && error < 0.4 * 0.05, "{error}");
+    assert!(error > 0.0 && error < 0.4 * 0.01, "{error}");
 }
 
 #[test]
