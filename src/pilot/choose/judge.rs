@@ -43,11 +43,13 @@ struct Held {
 }
 
 impl Held {
-    /// As many rays as are needed to come as close as is aimed at, if these are closer.
-    fn trim(&mut self) {
-        let fewer = (self.rays * (self.ratio / AIM).powf(1.0 / LAW)).max(FEWEST_RAYS);
+    /// As many rays as are needed to come as close as is aimed at, if these are closer: errors fall with the power `law` of their
+    /// number. Not below what that is known for.
+    fn trim(&mut self, law: f64) {
+        let fewer = self.rays * (self.ratio / AIM).powf(1.0 / law);
+        let fewer = fewer.max(FAR_FEWER * self.rays).max(FEWEST_RAYS);
         if fewer < self.rays {
-            let more = (self.rays / fewer).powf(LAW);
+            let more = (self.rays / fewer).powf(law);
             self.lone_seconds *= fewer / self.rays;
             self.errors.iter_mut().for_each(|error| *error *= more);
             self.ratio *= more;
@@ -88,7 +90,7 @@ impl Bench<'_, '_, '_> {
             }
             law = (other.ratio / held.ratio).ln() / (held.rays / other.rays).ln();
         }
-        held.trim();
+        held.trim(law);
         let crowd = self.rays(held.rays, 0.0, &self.crowd)?.seconds_per_receiver;
         let seconds_per_receiver = crowd.min(held.lone_seconds);
         self.trials.push(Trial {
@@ -135,15 +137,15 @@ mod tests {
             ratio,
         };
         let mut one = held(0.8);
-        one.trim();
+        one.trim(LAW);
         assert!((one.ratio - AIM).abs() < 1e-12 && (one.errors[0] - 0.5 * AIM).abs() < 1e-12);
         assert!((one.rays - 800.0 * (0.8_f64 / 0.9).powf(4.0 / 3.0)).abs() < 1e-9);
         assert!((one.lone_seconds - 0.01 * one.rays).abs() < 1e-12);
         let mut close = held(0.95);
-        close.trim();
+        close.trim(LAW);
         assert_eq!((close.rays, close.ratio), (800.0, 0.95));
         let mut none = held(0.0);
-        none.trim();
+        none.trim(LAW);
         assert_eq!((none.rays, none.ratio), (FEWEST_RAYS, 0.0));
     }
 }
