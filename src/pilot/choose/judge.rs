@@ -144,8 +144,12 @@ mod tests {
         let mut close = held(0.95);
         close.trim(LAW);
         assert_eq!((close.rays, close.ratio), (800.0, 0.95));
+        // Never far, whatever the error was; and where fewer are known to err much more, hardly.
         let mut none = held(0.0);
         none.trim(LAW);
-        assert_eq!((none.rays, none.ratio), (FEWEST_RAYS, 0.0));
+        assert_eq!((none.rays, none.ratio), (600.0, 0.0));
+        let mut steep = held(0.8);
+        steep.trim(3.0);
+        assert!(steep.rays > 760.0 && (steep.ratio - AIM).abs() < 1e-12);
     }
 }
