@@ -34,13 +34,14 @@ impl Sample {
         Self { picks, weights }
     }
 
-    /// About `count` of `looked`, in order, by the light that was seen there.
+    /// About `count` of `looked`, in order, by the light that was seen there; evenly where there is none.
     fn by_light(looked: &[usize], light: &[f64], count: usize) -> Self {
         let mean = mean_magnitude(light);
-        if mean <= 0.0 || !mean.is_finite() {
-            return Self::every(looked, count);
-        }
-        let share = |light: f64| EVEN + (1.0 - EVEN) * light / mean;
+        let is_lit = mean > 0.0 && mean.is_finite();
+        let share = |light: f64| match is_lit {
+            true => EVEN + (1.0 - EVEN) * light / mean,
+            false => 1.0,
+        };
         // A comb over the running sum: neighbors in order are neighbors in space, and each stretch is picked of.
         let step = looked.len() as f64 / count as f64;
         let (mut sum, mut teeth) = (0.0, 0.5);
@@ -60,15 +61,6 @@ impl Sample {
         let scale = picks.len() as f64 / count as f64;
         weights.iter_mut().for_each(|weight| *weight *= scale);
         Self { picks, weights }
-    }
-
-    /// `count` of `looked`, each as good as the other.
-    fn every(looked: &[usize], count: usize) -> Self {
-        let few = spread(looked.len(), count.min(looked.len()));
-        Self {
-            weights: vec![1.0; few.len()],
-            picks: few.into_iter().map(|k| looked[k]).collect(),
-        }
     }
 
     /// `count` receivers of `pilot`'s run, by what `engine` sees there that it alone sees; evenly where it is asked for no light:
