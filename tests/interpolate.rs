@@ -14,7 +14,7 @@ use surflux::gather::rays::lobe::Lobes;
 use surflux::gather::{
     DicedSurfels, Engine, GatherScene, RadianceSource, RaysEngine, RaysSettings, gather,
 };
-use surflux::interpolate::{self, Gathering, InterpolateSettings, Interpolated};
+use surflux::interpolate::{self, Fewer, Gathering, InterpolateSettings, Interpolated};
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::receivers::Receivers;
 use surflux::results::{Aov, Results};
@@ -63,6 +63,7 @@ struct Run<'a> {
     tracer: &'a Tracer,
     engine: &'a RaysEngine<'a>,
     again: Option<&'a RaysEngine<'a>>,
+    fewer: Option<(&'a RaysEngine<'a>, f64)>,
     receivers: &'a Receivers,
     aovs: &'a [Aov],
 }
@@ -93,6 +94,7 @@ impl Run<'_> {
         let kinds = self.engine.kinds(self.receivers);
         let gathering = Gathering {
             again: self.again.map(|again| again as &dyn Engine),
+            fewer: (self.fewer).map(|(engine, errors)| Fewer { engine, errors }),
             scene: self.scene(&shader, &lighting),
             engine: self.engine,
             receivers: self.receivers,
@@ -144,6 +146,7 @@ fn few_receivers_tell_as_much_as_all_of_them() {
         tracer: &tracer,
         engine,
         again: None,
+        fewer: None,
         receivers: &receivers,
         aovs: &[Aov::IrradianceIndirect, Aov::Visibility],
     };
@@ -190,6 +193,7 @@ fn with_walls(step: usize, check: impl FnOnce(Run<'_>)) {
         tracer: &tracer,
         engine: &engine(rays(64, 0.0)),
         again: Some(&engine(rays(64, 0.0).again())),
+        fewer: None,
         receivers: &receivers_in(&scene, PrimId(0), step),
         aovs: &[Aov::IrradianceIndirect],
     });
@@ -265,6 +269,80 @@ fn what_is_refused_is_first_looked_at_again() {
     });
 }
 
+/// Part of the hemisphere about +Y, weighted by the cosine, that the polygon with these corners covers: Lambert's sum over its
+/// edges.
+fn covered(place: Vec3, corners: [Vec3; 4]) -> f32 {
+    let edge = |k: usize| {
+        let [a, b] = [corners[k], corners[(k + 1) % 4]].map(|corner| (corner - place).normalize());
+        a.cross(b).normalize().y * a.dot(b).acos()
+    };
+    (0..4).map(edge).sum::<f32>().abs() / (2.0 * PI)
+}
+
+/// On a floor below a square roof: fewer rays see where neighbors even out what these err by. Where that is refused all of them
+/// see too, and the mean is closer than what all of them alone come to.
+#[test]
+fn fewer_rays_see_first_and_all_of_them_where_that_is_refused() {
+    let mut builder = SceneBuilder::new();
+    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+    let corner = Vec3::new(-1.0, 0.0, -1.0);
+    let (u, v) = (2.0 * Vec3::Z, 2.0 * Vec3::X);
+    let floor = builder.mesh("floor", plate(corner, u, v, 96), gray);
+    let roof = 0.5 * corner + Vec3::Y;
+    builder.mesh("roof", plate(roof, 0.5 * u, 0.5 * v, 1), gray);
+    builder.sky(Vec3::ONE);
+    let scene = builder.build();
+    let tracer = Tracer::new(&scene);
+    let receivers = receivers_in(&scene, floor, 1);
+    let (all, few) = (rays(256, 0.0), rays(160, 0.0).otherwise());
+    let [usual, fewer] = [all, few].map(|settings| RaysEngine::new(&tracer, None, settings));
+    let run = Run {
+        scene: &scene,
+        tracer: &tracer,
+        engine: &usual,
+        again: None,
+        fewer: Some((&fewer, 1.42)),
+        receivers: &receivers,
+        aovs: &[Aov::Visibility],
+    };
+    let corners = [roof, roof + 0.5 * u, roof + 0.5 * (u + v), roof + 0.5 * v];
+    let open = |&place: &Vec3| 1.0 - covered(place, corners);
+    let truth: Vec<f32> = receivers.position.iter().map(open).collect();
+    let error = |found: &Interpolated| {
+        let found = values(&found.results, Aov::Visibility);
+        relative_rmse(found, &truth)
+    };
+    let once = run.interpolated(0.02, &|_| true);
+    assert!(once.is_by_fewer && once.refusals == 0, "{}", once.gathered);
+    assert!(4 * once.gathered < receivers.len(), "{}", once.gathered);
+    let offers = Cell::new(0);
+    let twice = run.interpolated(0.02, &|_| offers.replace(offers.get() + 1) > 0);
+    assert!(!twice.is_by_fewer && twice.refusals == 1 && !twice.is_refused);
+    let other_frame = run.interpolated_after(1, 0.02, &|_| true);
+    assert!(other_frame == twice);
+    let alone = Run { fewer: None, ..run }.interpolated(0.02, &|_| true);
+    let [once, twice, alone] = [&once, &twice, &alone].map(error);
+    assert!(
+        once < 0.02 && twice < alone && twice < once,
+        "{once} {twice} {alone}"
+    );
+}
+
+/// Receivers so far apart that none speaks for its neighbors: what fewer rays err by would be seen.
+#[test]
+fn fewer_rays_do_not_see_where_little_is_smooth() {
+    with_walls(5, |run| {
+        let alone = run.interpolated(0.02, &|_| true);
+        let again = run.again.expect("a box's walls are looked at again");
+        let found = Run {
+            fewer: Some((again, 1.4)),
+            ..run
+        }
+        .interpolated(0.02, &|_| true);
+        assert!(!found.is_by_fewer && found == alone);
+    });
+}
+
 /// What walls reflect towards the middle of the box, by so many rays: one half is plastic (roughness 0.5), one smooth metal.
 fn with_gloss(count: u32, check: impl FnOnce(Run<'_>)) {
     let mut scene = ball_in_a_box(48);
@@ -297,6 +375,7 @@ fn with_gloss(count: u32, check: impl FnOnce(Run<'_>)) {
         tracer: &tracer,
         engine: &engine.of_lobes(lobes, settings),
         again: None,
+        fewer: None,
         receivers: &receivers,
         aovs: &[Aov::SpecularIndirect],
     });
@@ -356,6 +435,7 @@ fn the_sides_of_thin_walls_do_not_speak_for_each_other() {
         tracer: &tracer,
         engine: &engine,
         again: None,
+        fewer: None,
         receivers: &receivers,
         aovs: &[
             Aov::Occlusion,
@@ -438,6 +518,7 @@ fn parts_add_up() {
         tracer: &tracer,
         engine: &engine,
         again: None,
+        fewer: None,
         receivers: &receivers,
         aovs: &aovs,
     };

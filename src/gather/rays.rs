@@ -79,6 +79,15 @@ impl RaysSettings {
         }
     }
 
+    /// The same, turned away from these and all others named here.
+    #[must_use]
+    pub fn otherwise(self) -> Self {
+        Self {
+            turn: self.turn + OTHERWISE,
+            ..self
+        }
+    }
+
     /// Settings of a reference for a run with these: four times the rays, turned away from the run's own.
     #[must_use]
     pub fn reference(self) -> Self {
@@ -93,6 +102,9 @@ impl RaysSettings {
 
 /// Turn of [`RaysSettings::again`]: 0.08 off the nearest of the first five multiples of 1/√2.
 const AGAIN: f32 = 0.33;
+
+/// Turn of [`RaysSettings::otherwise`]: 0.08 off the nearest of the others.
+const OTHERWISE: f32 = 0.625;
 
 /// Rays between two looks at whether the run was cancelled, a fraction of a second; four times as many where those are of
 /// fewer receivers than gain from looking together.

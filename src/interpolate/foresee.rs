@@ -1,7 +1,8 @@
 //! A run → how many of its receivers it will be gathered at, told by a few runs of neighbors.
 
 use super::grow::Strictness;
-use super::{Fault, Gathering, InterpolateSettings, Work, base, pays};
+use super::steps::{Fault, Sight};
+use super::{Gathering, InterpolateSettings, Work, base, pays};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather;
 use crate::receivers::Receivers;
@@ -35,6 +36,7 @@ pub fn foresee(
             kinds: None,
             ..gathering
         },
+        sight: Sight::full(gathering),
         base: &base,
         settings,
         diagnostics,

@@ -97,17 +97,17 @@ impl Seeds {
         }
     }
 
-    /// Take the mean of what was read before and now, as of [`Self::extend`].
-    pub(super) fn average(&mut self, read: &[f32]) {
+    /// Take the mean of what was read before and now, as of [`Self::extend`]; the new counts by `share`, 0…1.
+    pub(super) fn take(&mut self, read: &[f32], share: f32) {
         let n = self.components;
         let own = (self.values.chunks_exact_mut(n)).zip(self.turns.chunks_exact_mut(n));
         for ((values, own_turns), read) in own.zip(read.chunks_exact(Self::floats(n))) {
             let (more, turns) = read.split_at(n);
             for (value, more) in values.iter_mut().zip(more) {
-                *value = 0.5 * (*value + more);
+                *value += share * (more - *value);
             }
             for (own, turn) in own_turns.iter_mut().zip(turns.chunks_exact(3)) {
-                *own = 0.5 * (*own + Vec3::from_slice(turn));
+                *own += share * (Vec3::from_slice(turn) - *own);
             }
         }
     }

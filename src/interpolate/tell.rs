@@ -5,7 +5,8 @@ use super::blend::{Around, Blend};
 use super::fit::Fit;
 use super::grow::{Cell, Field, Strictness};
 use super::seeds::{ASKED, SeedIndex, Seeds};
-use super::{Fault, Kind, Work};
+use super::steps::Fault;
+use super::{Kind, Work};
 use crate::diagnostics::Cancelled;
 use crate::gather::estimate::spread;
 use glam::Vec3;
@@ -113,7 +114,7 @@ impl Work<'_> {
         for round in 0.. {
             let blended = self.blend(field, &cells);
             let is_disputed = |blended: &Blended| {
-                strictness.is_some() && blended.dispute > DISPUTED * self.settings.tolerance
+                strictness.is_some() && blended.dispute > DISPUTED * self.slack()
             };
             let receivers = |is_counted: &dyn Fn(&Blended) -> bool| -> usize {
                 let counted = cells.iter().zip(&blended).filter(|it| is_counted(it.1));
@@ -201,7 +202,7 @@ impl Work<'_> {
         let errors: Vec<(Kind, f64)> = (picks.iter().zip(truth.values.chunks_exact(n)))
             .map(error)
             .collect();
-        let limit = (UNTRUE * self.settings.tolerance).powi(2);
+        let limit = (UNTRUE * self.slack()).powi(2);
         let is_untrue = |errors: &[(Kind, f64)]| {
             let square: f64 = errors.iter().map(|(_, square)| square).sum();
             let count = errors.len().max(1) as f64;
@@ -236,9 +237,7 @@ impl Work<'_> {
                 return;
             };
             gradient.copy_from_slice(&fit.gradient);
-            let off = |fit: &Fit| {
-                base::relative(self.base, &fit.surprise, scales) / self.settings.tolerance
-            };
+            let off = |fit: &Fit| base::relative(self.base, &fit.surprise, scales) / self.slack();
             let wide = index.wide_fit(seed).filter(|fit| off(fit) < EVEN_OF_MANY);
             let even = wide.as_ref().unwrap_or(&fit);
             let believed = ((EVEN.1 - off(even)) / (EVEN.1 - EVEN.0)).clamp(0.0, 1.0);

@@ -113,6 +113,7 @@ impl CloudGather for BounceLight<'_> {
             },
             engine: &self.rays.engine(cloud, pass),
             again: None,
+            fewer: None,
             receivers,
             kinds: None,
             aovs: &[Aov::IrradianceIndirect],

@@ -365,6 +365,7 @@ fn foreseen(
         scene: stand.scene(),
         engine: &stand.rays_with(stand.rays_settings(fewer)),
         again: None,
+        fewer: None,
         receivers: stand.receivers,
         kinds: None,
         aovs: stand.aovs,

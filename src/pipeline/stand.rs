@@ -188,9 +188,8 @@ impl<'a> Stand<'a> {
             let settings = self.rays_settings(rays);
             match tolerance.filter(|_| speak) {
                 Some(tolerance) => {
-                    let engines = [settings, settings.again()].map(engine);
-                    let promise = promise.clone();
-                    let method = InterpolatedMethod::between(engines, (tolerance, 0), promise);
+                    let (seeing, promise) = ((settings, engine), promise.clone());
+                    let method = InterpolatedMethod::between(seeing, (tolerance, 0), promise);
                     Box::new(method) as Box<dyn Method + 's>
                 }
                 None => Box::new(engine(settings)),
