@@ -235,9 +235,27 @@ impl Lighting {
     /// Prepare the scene's lights and emissive surfaces; textures are read here (missing ones are warnings). `samples`
     /// are those for receivers; surfels have at most [`LightSamples::SURFEL`].
     pub fn new(shader: &Shader<'_>, samples: LightSamples, diagnostics: &Diagnostics) -> Self {
+        let coarse = samples.at_most(LightSamples::SURFEL);
+        Self::with(shader, (samples, coarse), diagnostics)
+    }
+
+    /// The same where surfels have as many `samples` as receivers.
+    pub fn of_surfels(
+        shader: &Shader<'_>,
+        samples: LightSamples,
+        diagnostics: &Diagnostics,
+    ) -> Self {
+        Self::with(shader, (samples, samples), diagnostics)
+    }
+
+    /// With samples for receivers, and for surfels.
+    fn with(
+        shader: &Shader<'_>,
+        (samples, coarse): (LightSamples, LightSamples),
+        diagnostics: &Diagnostics,
+    ) -> Self {
         let everywhere = shader.lights().filter(|light| !is_linked(light));
         let environment = Environment::new(everywhere, diagnostics);
-        let coarse = samples.at_most(LightSamples::SURFEL);
         let counts = [samples.environment, coarse.environment];
         let [fine_sky, coarse_sky] = environment.sets(counts);
         let surfaces = || (shader.scene(), shader.opacity());

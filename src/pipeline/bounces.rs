@@ -1,7 +1,7 @@
 //! More than one reflection: light of a baked cloud after all of them but the last.
 
 use super::Error;
-use super::gather::{Light, dice};
+use super::gather::{Light, dice, surfel_samples};
 use super::job::GatherJob;
 use super::report::{Report, timed};
 use super::world::World;
@@ -56,7 +56,13 @@ fn after_bounces(
         every_light: false,
     };
     let coarse = (baked.cloud.len() > 2 * BOUNCE_SURFELS)
-        .then(|| dice(world, &coarse_settings, (&mut *report, diagnostics)))
+        .then(|| {
+            dice(
+                world,
+                (&coarse_settings, surfel_samples(job.tolerance)),
+                (&mut *report, diagnostics),
+            )
+        })
         .transpose()?;
     let light = BounceLight {
         world,

@@ -360,7 +360,11 @@ pub(super) fn light(
         }
     }
     let settings = job.bake_settings(receivers.len());
-    let baked = dice(world, &settings, (&mut *report, diagnostics))?;
+    let baked = dice(
+        world,
+        (&settings, surfel_samples(job.tolerance)),
+        (&mut *report, diagnostics),
+    )?;
     report.set("spacing", f64::from(baked.cloud.spacing));
     bounced(world, baked, job, (report, diagnostics))
 }
@@ -371,14 +375,39 @@ pub(super) fn needs_surfels(world: &World<'_>, aovs: &[Aov], job: &GatherJob) ->
     shines && job.bounces != Bounces::Count(0) && aovs.iter().any(|aov| aov.needs_indirect())
 }
 
+/// Tolerance of reflected light that [`LightSamples::SURFEL`] are enough for under a dome. In a Cornell box under one 128 directions
+/// left 0.9 % in it of 137 000 surfels and of 550 000: neighbors are lit from the same ones, and err alike.
+const USUAL_SAMPLES_ARE_FOR: f64 = 0.02;
+
+/// Most directions that light surfels.
+const MOST_DIRECTIONS: f64 = 1024.0;
+
+/// Samples that light surfels where what these reflect may err by `tolerance`: errors fall with the power 0.75 of their number.
+pub(super) fn surfel_samples(tolerance: Option<f64>) -> LightSamples {
+    let usual = LightSamples::SURFEL;
+    let times = tolerance.map_or(1.0, |tolerance| {
+        (USUAL_SAMPLES_ARE_FOR / tolerance).max(1.0)
+    });
+    let directions = f64::from(usual.environment) * times.powf(1.0 / 0.75);
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "128 to 1024"
+    )]
+    LightSamples {
+        environment: directions.min(MOST_DIRECTIONS) as u32,
+        ..usual
+    }
+}
+
 /// Dice and light the world, with fewer light samples than receivers get: errors of many surfels average out.
 pub(super) fn dice(
     world: &World<'_>,
-    settings: &BakeSettings,
+    (settings, samples): (&BakeSettings, LightSamples),
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Baked, Error> {
     let baked = timed(&mut report.seconds.points, || {
-        let lighting = Lighting::new(world.shader, LightSamples::SURFEL, diagnostics);
+        let lighting = Lighting::of_surfels(world.shader, samples, diagnostics);
         bake::bake(
             world.shader,
             &world.tracer,

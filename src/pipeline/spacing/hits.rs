@@ -37,10 +37,10 @@ const LEAST_LEFT: f64 = 0.25;
 /// Rays that light a finer cloud, over those of the run, that are worth trying where it is in doubt whether it is needed.
 const WORTH: f64 = 0.25;
 
-/// Rays traced, in those of a run: to find the sky's light at a surfel (half of its directions are below the horizon, and
-/// 64 surfels look along one together) and at a hit, and each light's. Counted, not timed: a run chooses the same on
+/// Rays traced, in those of a run: to find the sky's light at a surfel, for each of its directions (half of them are below the
+/// horizon, and 64 surfels look along one together), and at a hit, and each light's. Counted, not timed: a run chooses the same on
 /// every machine.
-const SKY_RAYS_A_SURFEL: f64 = 32.0;
+const SKY_RAYS_A_DIRECTION: f64 = 0.25;
 const SKY_RAYS_A_HIT: f64 = 4.0;
 const LIGHT_RAYS: f64 = 1.0;
 
@@ -81,7 +81,11 @@ impl Ladder<'_> {
         let start = Clock::start();
         loop {
             let dicing = Clock::start();
-            let baked = dice(self.world, &settings, (&mut *report, diagnostics))?;
+            let baked = dice(
+                self.world,
+                (&settings, self.samples()),
+                (&mut *report, diagnostics),
+            )?;
             let dicing = dicing.seconds();
             let judged = self.judge_all(&mut witness, &baked, diagnostics)?;
             let (worst, count) = (self.least(&judged), baked.cloud.len());
@@ -180,7 +184,8 @@ impl Ladder<'_> {
     /// Rays that light `surfels`.
     fn rays_of_dicing(&self, surfels: usize) -> f64 {
         let (lights, sky) = self.lights();
-        surfels as f64 * (1.0 + lights + SKY_RAYS_A_SURFEL * sky)
+        let of_sky = SKY_RAYS_A_DIRECTION * f64::from(self.samples().environment);
+        surfels as f64 * (1.0 + lights + of_sky * sky)
     }
 
     /// Rays of all receivers, as many as meet the tolerance beside the surfels' error, and those that light their hits.

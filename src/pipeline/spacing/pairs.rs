@@ -84,7 +84,11 @@ impl Ladder<'_> {
         (report, diagnostics): (&mut Report, &Diagnostics),
     ) -> Result<Look, Error> {
         let dicing = Clock::start();
-        let baked = dice(self.world, settings, (report, diagnostics))?;
+        let baked = dice(
+            self.world,
+            (settings, self.samples()),
+            (report, diagnostics),
+        )?;
         let dicing = dicing.seconds();
         let rays = RaysSettings {
             rays: RAYS,
