@@ -5,7 +5,7 @@
 mod scenes;
 
 use glam::Vec3;
-use scenes::{SceneBuilder, Side, ball_in_a_box, bowl, plate, receivers_in};
+use scenes::{SceneBuilder, Side, ball_in_a_box, bowl, plate, polygon_irradiance, receivers_in};
 use std::cell::Cell;
 use std::f32::consts::PI;
 use surflux::bake::{BakeSettings, Baked, bake};
@@ -269,16 +269,6 @@ fn what_is_refused_is_first_looked_at_again() {
     });
 }
 
-/// Part of the hemisphere about +Y, weighted by the cosine, that the polygon with these corners covers: Lambert's sum over its
-/// edges.
-fn covered(place: Vec3, corners: [Vec3; 4]) -> f32 {
-    let edge = |k: usize| {
-        let [a, b] = [corners[k], corners[(k + 1) % 4]].map(|corner| (corner - place).normalize());
-        a.cross(b).normalize().y * a.dot(b).acos()
-    };
-    (0..4).map(edge).sum::<f32>().abs() / (2.0 * PI)
-}
-
 /// On a floor below a square roof: fewer rays see where neighbors even out what these err by. Where that is refused all of them
 /// see too, and the mean is closer than what all of them alone come to.
 #[test]
@@ -306,7 +296,8 @@ fn fewer_rays_see_first_and_all_of_them_where_that_is_refused() {
         aovs: &[Aov::Visibility],
     };
     let corners = [roof, roof + 0.5 * u, roof + 0.5 * (u + v), roof + 0.5 * v];
-    let open = |&place: &Vec3| 1.0 - covered(place, corners);
+    #[expect(clippy::cast_possible_truncation, reason = "compared with f32")]
+    let open = |&place: &Vec3| 1.0 - polygon_irradiance(place, Vec3::Y, &corners) as f32 / PI;
     let truth: Vec<f32> = receivers.position.iter().map(open).collect();
     let error = |found: &Interpolated| {
         let found = values(&found.results, Aov::Visibility);

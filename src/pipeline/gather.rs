@@ -438,3 +438,23 @@ pub(super) fn record(job: &GatherJob, aovs: &[Aov], report: &mut Report) {
     }
     report.set("threads", rayon::current_num_threads());
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finer_tolerances_light_surfels_from_more_directions() {
+        let of = |tolerance| surfel_samples(Some(tolerance)).environment;
+        let usual = LightSamples::SURFEL;
+        assert_eq!(surfel_samples(None), usual);
+        assert_eq!((of(0.05), of(0.02)), (usual.environment, usual.environment));
+        // Half of the error: 2^(4/3) as many.
+        assert_eq!((of(0.01), of(1e-6)), (322, 1024));
+        let fine = surfel_samples(Some(0.001));
+        assert_eq!(
+            (fine.per_light, fine.emissive),
+            (usual.per_light, usual.emissive)
+        );
+    }
+}
