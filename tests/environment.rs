@@ -5,7 +5,7 @@
 mod scenes;
 
 use glam::{Affine3A, DMat3, DVec3, Vec3};
-use scenes::{SceneBuilder, plate, polygon_irradiance, receivers_at};
+use scenes::{SceneBuilder, floor_under_a_roof, plate, polygon_irradiance, receivers_at};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::path::{Path, PathBuf};
 use surflux::bake::{BakeSettings, bake};
@@ -438,18 +438,9 @@ fn the_direction_of_the_light_is_the_suns_or_under_an_even_sky_the_bent_normal()
 /// less from more directions.
 #[test]
 fn surfels_see_the_sky_as_well_as_they_have_directions_for() {
-    let mut builder = SceneBuilder::new();
-    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
-    let corner = Vec3::new(-1.0, 0.0, -1.0);
-    let (u, v) = (2.0 * Vec3::Z, 2.0 * Vec3::X);
-    let floor = builder.mesh("floor", plate(corner, u, v, 8), gray);
-    let roof = 0.5 * corner + Vec3::Y;
-    builder.mesh("roof", plate(roof, 0.5 * u, 0.5 * v, 1), gray);
-    builder.sky(Vec3::ONE);
-    let scene = builder.build();
+    let (scene, floor, corners) = floor_under_a_roof(8);
     let (tracer, diagnostics) = (Tracer::new(&scene), Diagnostics::default());
     let shader = Shader::new(&scene, &diagnostics);
-    let corners = [roof, roof + 0.5 * u, roof + 0.5 * (u + v), roof + 0.5 * v];
     let error = |lighting: &Lighting| {
         let settings = BakeSettings {
             surfels: 4000,

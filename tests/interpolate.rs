@@ -5,7 +5,10 @@
 mod scenes;
 
 use glam::Vec3;
-use scenes::{SceneBuilder, Side, ball_in_a_box, bowl, plate, polygon_irradiance, receivers_in};
+use scenes::{
+    SceneBuilder, Side, ball_in_a_box, bowl, floor_under_a_roof, plate, polygon_irradiance,
+    receivers_in,
+};
 use std::cell::Cell;
 use std::f32::consts::PI;
 use surflux::bake::{BakeSettings, Baked, bake};
@@ -273,15 +276,7 @@ fn what_is_refused_is_first_looked_at_again() {
 /// see too, and the mean is closer than what all of them alone come to.
 #[test]
 fn fewer_rays_see_first_and_all_of_them_where_that_is_refused() {
-    let mut builder = SceneBuilder::new();
-    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
-    let corner = Vec3::new(-1.0, 0.0, -1.0);
-    let (u, v) = (2.0 * Vec3::Z, 2.0 * Vec3::X);
-    let floor = builder.mesh("floor", plate(corner, u, v, 96), gray);
-    let roof = 0.5 * corner + Vec3::Y;
-    builder.mesh("roof", plate(roof, 0.5 * u, 0.5 * v, 1), gray);
-    builder.sky(Vec3::ONE);
-    let scene = builder.build();
+    let (scene, floor, corners) = floor_under_a_roof(96);
     let tracer = Tracer::new(&scene);
     let receivers = receivers_in(&scene, floor, 1);
     let (all, few) = (rays(256, 0.0), rays(160, 0.0).otherwise());
@@ -295,7 +290,6 @@ fn fewer_rays_see_first_and_all_of_them_where_that_is_refused() {
         receivers: &receivers,
         aovs: &[Aov::Visibility],
     };
-    let corners = [roof, roof + 0.5 * u, roof + 0.5 * (u + v), roof + 0.5 * v];
     #[expect(clippy::cast_possible_truncation, reason = "compared with f32")]
     let open = |&place: &Vec3| 1.0 - polygon_irradiance(place, Vec3::Y, &corners) as f32 / PI;
     let truth: Vec<f32> = receivers.position.iter().map(open).collect();

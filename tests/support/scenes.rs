@@ -321,3 +321,20 @@ pub(crate) fn polygon_irradiance(position: Vec3, normal: Vec3, corners: &[Vec3])
         .sum();
     0.5 * sum.abs()
 }
+
+/// A floor of 2 × 2 in as many rows, and one above its middle a roof of half its width with these corners, under a sky of radiance 1.
+pub(crate) fn floor_under_a_roof(rows: u16) -> (Scene, PrimId, [Vec3; 4]) {
+    let mut builder = SceneBuilder::new();
+    let gray = builder.material(Vec3::splat(0.5), Vec3::ZERO);
+    let corner = Vec3::new(-1.0, 0.0, -1.0);
+    let (u, v) = (2.0 * Vec3::Z, 2.0 * Vec3::X);
+    let floor = builder.mesh("floor", plate(corner, u, v, rows), gray);
+    let (roof, u, v) = (0.5 * corner + Vec3::Y, 0.5 * u, 0.5 * v);
+    builder.mesh("roof", plate(roof, u, v, 1), gray);
+    builder.sky(Vec3::ONE);
+    (
+        builder.build(),
+        floor,
+        [roof, roof + u, roof + u + v, roof + v],
+    )
+}
