@@ -448,14 +448,16 @@ fn surfels_see_the_sky_as_well_as_they_have_directions_for() {
         };
         let baked = bake(&shader, &tracer, lighting, &settings, &diagnostics);
         let cloud = baked.expect("not cancelled").cloud;
-        let upper = |&i: &usize| cloud.prim[i] as usize == floor.index() && cloud.normal[i].y > 0.0;
+        let is_upper =
+            |&i: &usize| cloud.prim[i] as usize == floor.index() && cloud.normal[i].y > 0.0;
+        let upper: Vec<usize> = (0..cloud.len()).filter(is_upper).collect();
         let (mut square, mut sum) = (0.0, 0.0);
-        for i in (0..cloud.len()).filter(upper) {
+        for &i in &upper {
             let open = PI - polygon_irradiance(cloud.position[i], Vec3::Y, &corners);
             square += (f64::from(cloud.radiosity[i].x) / 0.5 - open).powi(2);
             sum += open;
         }
-        let count = (0..cloud.len()).filter(upper).count() as f64;
+        let count = upper.len() as f64;
         assert!(count > 500.0, "{count}");
         (square * count).sqrt() / sum
     };

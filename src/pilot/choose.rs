@@ -21,7 +21,7 @@ use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 
 /// Power of the number of rays (or light samples) that their error falls with: measured from 64 to 4096 lattice rays.
-pub(super) const LAW: f64 = 0.75;
+pub(crate) const LAW: f64 = 0.75;
 
 /// Range in which a measured power is believed: random rays have 0.5, smooth integrands 1.
 const LAWS: (f64, f64) = (0.5, 1.0);

@@ -17,6 +17,7 @@ mod sample;
 mod sky;
 
 pub use check::Check;
+pub(crate) use choose::LAW;
 pub use choose::{choose, errors_with_rays, picks, rays_with_errors};
 pub use crowd::crowd;
 pub use light::LightScenes;

@@ -1,7 +1,7 @@
 //! More than one reflection: light of a baked cloud after all of them but the last.
 
 use super::Error;
-use super::gather::{Light, dice, surfel_samples};
+use super::gather::{Light, dice};
 use super::job::GatherJob;
 use super::report::{Report, timed};
 use super::world::World;
@@ -59,7 +59,7 @@ fn after_bounces(
         .then(|| {
             dice(
                 world,
-                (&coarse_settings, surfel_samples(job.tolerance)),
+                (&coarse_settings, job.tolerance),
                 (&mut *report, diagnostics),
             )
         })

@@ -20,7 +20,7 @@ use crate::gather::{
     RaysSettings, Reference,
 };
 use crate::lighting::{LightSamples, Lighting};
-use crate::pilot::Method;
+use crate::pilot::{self, Method};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use crate::stage::cloud;
@@ -362,7 +362,7 @@ pub(super) fn light(
     let settings = job.bake_settings(receivers.len());
     let baked = dice(
         world,
-        (&settings, surfel_samples(job.tolerance)),
+        (&settings, job.tolerance),
         (&mut *report, diagnostics),
     )?;
     report.set("spacing", f64::from(baked.cloud.spacing));
@@ -382,13 +382,13 @@ const USUAL_SAMPLES_ARE_FOR: f64 = 0.02;
 /// Most directions that light surfels.
 const MOST_DIRECTIONS: f64 = 1024.0;
 
-/// Samples that light surfels where what these reflect may err by `tolerance`: errors fall with the power 0.75 of their number.
+/// Samples that light surfels where what these reflect may err by `tolerance`, by the law of errors.
 pub(super) fn surfel_samples(tolerance: Option<f64>) -> LightSamples {
     let usual = LightSamples::SURFEL;
     let times = tolerance.map_or(1.0, |tolerance| {
         (USUAL_SAMPLES_ARE_FOR / tolerance).max(1.0)
     });
-    let directions = f64::from(usual.environment) * times.powf(1.0 / 0.75);
+    let directions = f64::from(usual.environment) * times.powf(1.0 / pilot::LAW);
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
@@ -400,13 +400,15 @@ pub(super) fn surfel_samples(tolerance: Option<f64>) -> LightSamples {
     }
 }
 
-/// Dice and light the world, with fewer light samples than receivers get: errors of many surfels average out.
+/// Dice and light the world, with fewer light samples than receivers get, since errors of many surfels average out: as many as the
+/// tolerance of what these reflect asks for, if there is one.
 pub(super) fn dice(
     world: &World<'_>,
-    (settings, samples): (&BakeSettings, LightSamples),
+    (settings, tolerance): (&BakeSettings, Option<f64>),
     (report, diagnostics): (&mut Report, &Diagnostics),
 ) -> Result<Baked, Error> {
     let baked = timed(&mut report.seconds.points, || {
+        let samples = surfel_samples(tolerance);
         let lighting = Lighting::of_surfels(world.shader, samples, diagnostics);
         bake::bake(
             world.shader,

@@ -6,7 +6,6 @@ use super::report::{Report, peak_memory_bytes, timed};
 use super::world::{Needs, with_world};
 use super::{Error, outputs, provenance, shots, source_of};
 use crate::diagnostics::Diagnostics;
-use crate::lighting::LightSamples;
 use crate::stage::Source;
 use crate::writers::usd::cloud::{CloudOptions, write};
 use std::path::Path;
@@ -43,11 +42,7 @@ pub(super) fn run(
             diagnostics,
             |world, report| {
                 camera = camera.take().or_else(|| shots::camera_of(world.scene()));
-                let baked = dice(
-                    world,
-                    (&job.bake, LightSamples::SURFEL),
-                    (&mut *report, diagnostics),
-                )?;
+                let baked = dice(world, (&job.bake, None), (&mut *report, diagnostics))?;
                 let cloud = baked.cloud.without_holes();
                 report.counts.surfels = report.counts.surfels.max(cloud.len());
                 report.set("spacing", f64::from(cloud.spacing));

@@ -9,7 +9,7 @@ mod pairs;
 
 use super::Error;
 use super::bounces::bounced;
-use super::gather::{Light, light, needs_surfels, surfel_samples};
+use super::gather::{Light, light, needs_surfels};
 use super::job::{EngineChoice, GatherJob};
 use super::report::Report;
 use super::world::World;
@@ -17,7 +17,6 @@ use crate::bake::Baked;
 use crate::diagnostics::Diagnostics;
 use crate::gather::HitLight;
 use crate::gather::estimate::spread;
-use crate::lighting::LightSamples;
 use crate::pilot::picks;
 use crate::receivers::Receivers;
 use crate::results::Aov;
@@ -216,11 +215,6 @@ impl Ladder<'_> {
     /// True if the user said how finely to dice.
     fn is_fixed(&self) -> bool {
         self.job.surfels.is_some() || self.job.spacing.is_some()
-    }
-
-    /// What lights the surfels.
-    fn samples(&self) -> LightSamples {
-        surfel_samples(Some(self.tolerance))
     }
 
     /// What is looked at for it.

@@ -11,7 +11,7 @@
 mod witness;
 
 use super::super::Error;
-use super::super::gather::dice;
+use super::super::gather::{dice, surfel_samples};
 use super::super::report::Report;
 use super::{Climbed, FEWEST, Ladder, MOST, Relit, STALLED, law, more};
 use crate::bake::Baked;
@@ -83,7 +83,7 @@ impl Ladder<'_> {
             let dicing = Clock::start();
             let baked = dice(
                 self.world,
-                (&settings, self.samples()),
+                (&settings, self.job.tolerance),
                 (&mut *report, diagnostics),
             )?;
             let dicing = dicing.seconds();
@@ -184,7 +184,8 @@ impl Ladder<'_> {
     /// Rays that light `surfels`.
     fn rays_of_dicing(&self, surfels: usize) -> f64 {
         let (lights, sky) = self.lights();
-        let of_sky = SKY_RAYS_A_DIRECTION * f64::from(self.samples().environment);
+        let of_sky =
+            SKY_RAYS_A_DIRECTION * f64::from(surfel_samples(self.job.tolerance).environment);
         surfels as f64 * (1.0 + lights + of_sky * sky)
     }
 

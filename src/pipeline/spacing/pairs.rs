@@ -86,7 +86,7 @@ impl Ladder<'_> {
         let dicing = Clock::start();
         let baked = dice(
             self.world,
-            (settings, self.samples()),
+            (settings, self.job.tolerance),
             (report, diagnostics),
         )?;
         let dicing = dicing.seconds();
