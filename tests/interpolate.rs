@@ -97,6 +97,7 @@ impl Run<'_> {
         let kinds = self.engine.kinds(self.receivers);
         let gathering = Gathering {
             again: self.again.map(|again| again as &dyn Engine),
+            thin: None,
             fewer: (self.fewer).map(|(engine, errors)| Fewer { engine, errors }),
             scene: self.scene(&shader, &lighting),
             engine: self.engine,

@@ -168,6 +168,7 @@ impl<'a> Setup<'a> {
             evened: 1.0,
             rays: &rays,
             share: &|_| Ok(None),
+            thinning: None,
             candidates,
             maps,
             surfel_errors: &[],

@@ -20,10 +20,12 @@ pub use known::KnownEngine;
 pub use radiance::{DicedSurfels, LoadedCloud, RadianceSource};
 pub use raster::{RasterEngine, RasterSettings};
 pub use rays::{CloudRays, RaysEngine, RaysSettings};
+pub use thin::{Class, ThinEngines, Thinning};
 
 pub mod maps;
 pub mod paper;
 pub mod raster;
+mod thin;
 pub mod traverse;
 
 use crate::diagnostics::{Cancelled, Diagnostics};

@@ -4,6 +4,7 @@ use super::cells::{Cells, halves};
 use super::room::Room;
 use super::seeds::Seeds;
 use super::steps::Fault;
+use super::thin::Alone;
 use super::{Kind, Work, base};
 use crate::diagnostics::Cancelled;
 use crate::receivers::Receivers;
@@ -25,6 +26,7 @@ pub(super) struct Cell {
 pub(super) struct Field {
     pub(super) cells: Cells,
     pub(super) seeds: Seeds,
+    pub(super) alone: Alone,
     /// Cells whose other receivers are to be blended, of more than one receiver once they are grown.
     pub(super) smooth: Vec<Cell>,
     /// See [`Work::scales`].
@@ -95,13 +97,15 @@ impl Work<'_> {
             self.gathering.kind(i as usize)
         });
         let mut seeds = Seeds::new(self.components());
-        self.sow(&mut seeds, &cells.alone)?;
+        let mut alone = Alone::default();
+        self.finish((&mut seeds, &mut alone), &cells.alone)?;
         let largest = cells.largest.iter().map(|run| (run.clone(), None));
         let smooth = self.sow_parts((&cells, &mut seeds), largest.collect())?;
         let scales = self.scales(&seeds)?;
         Ok(Field {
             cells,
             seeds,
+            alone,
             smooth,
             scales,
             checked: 0,
@@ -164,10 +168,20 @@ impl Work<'_> {
         Ok(field.smooth.split_off(before))
     }
 
-    /// The parts of `cells`, with seeds.
+    /// The parts of `cells`, with seeds; not of those whose receivers all take less than these would.
     fn cut(&self, field: &mut Field, cells: &[Cell]) -> Result<Vec<Cell>, Cancelled> {
-        let parts = (cells.iter()).flat_map(|cell| quarters(&field.cells, &field.seeds, cell));
-        let parts = parts.collect();
+        let (mut parts, mut rest) = (Vec::new(), Vec::new());
+        for cell in cells {
+            let own = field.seeds.receiver[cell.seed as usize];
+            let others = field.cells.order[cell.run.clone()].iter().copied();
+            let others = others.filter(|&i| i != own);
+            if self.is_thin(others.clone()) {
+                rest.extend(others);
+            } else {
+                parts.extend(quarters(&field.cells, &field.seeds, cell));
+            }
+        }
+        self.finish((&mut field.seeds, &mut field.alone), &rest)?;
         self.sow_parts((&field.cells, &mut field.seeds), parts)
     }
 

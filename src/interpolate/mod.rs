@@ -8,6 +8,8 @@
 //! evened with these. Some blended values are gathered too, to see whether they are true: if not, cells are cut finer, and then
 //! all of their kind are gathered at (`tell`).
 //!
+//! Where a pixel has many receivers, and none can speak for others, each is seen by a few rays of its own (`thin`).
+//!
 //! Where most of the largest cells are smooth, fewer rays see at first: evening leaves less of what these err by. Where that is
 //! refused, seeds see all that they may beside it (`steps`).
 //!
@@ -27,12 +29,14 @@ mod scales;
 mod seeds;
 mod steps;
 mod tell;
+mod thin;
 
 use crate::diagnostics::{Cancelled, Diagnostics};
-use crate::gather::{self, Engine, GatherScene, Hemisphere};
+use crate::gather::{self, Engine, GatherScene, Hemisphere, ThinEngines};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 pub use foresee::foresee;
+use grow::Field;
 use seeds::Seeds;
 use steps::{Fault, STEPS, Sight, Step};
 use tell::Told;
@@ -74,6 +78,8 @@ pub struct Gathering<'a> {
     pub again: Option<&'a dyn Engine>,
     /// Sees in less time, and first where neighbors even out what it errs by. `None`: nobody does.
     pub fewer: Option<Fewer<'a>>,
+    /// See for those whose pixels have many receivers and who speak for nobody, of all receivers. `None`: nobody does.
+    pub thin: Option<&'a ThinEngines<'a>>,
     /// All receivers.
     pub receivers: &'a Receivers,
     /// Which of them may speak for each other: those of one kind, one number a receiver; `None`: those of one prim.
@@ -178,13 +184,13 @@ pub fn gather(
             continue;
         }
         let is_last = step == Step::Everywhere;
-        let is_all_seen = told.blended.is_empty() && !work.sight.is_fewer();
+        let is_all_seen = told.blended.is_empty() && work.sees_fully(&field);
         let is_asked = refusals >= settings.refusals;
         let is_done = |results: &Results| is_last || is_all_seen || is_asked && accepts(results);
         if let Some(results) = work.results(&told, &is_done)? {
             return Ok(Interpolated {
                 results,
-                gathered: field.seeds.len() + field.checked,
+                gathered: field.seeds.len() + field.alone.len() + field.checked,
                 is_refused: is_last,
                 is_by_fewer: work.sight.is_fewer(),
                 refusals,
@@ -223,6 +229,11 @@ impl Work<'_> {
             &read,
         );
         Ok(())
+    }
+
+    /// True if all rays saw for those that were gathered at.
+    fn sees_fully(&self, field: &Field) -> bool {
+        !self.sight.is_fewer() && field.alone.len() == 0
     }
 
     /// What was `told` as results, if these are done: what is blended, and then all that follows from it, for which light is sampled

@@ -119,7 +119,16 @@ impl Work<'_> {
             Step::Again => return self.look_again(field),
             Step::Everywhere => {
                 field.forget_again();
-                self.settle(field, &Fault::All)?;
+                let alone = field.alone.take();
+                self.sow(&mut field.seeds, &alone)?;
+                let all = Work {
+                    gathering: Gathering {
+                        thin: None,
+                        ..self.gathering
+                    },
+                    ..*self
+                };
+                all.settle(field, &Fault::All)?;
             }
         }
         Ok(true)
@@ -134,7 +143,7 @@ impl Work<'_> {
             .copied()
             .filter(|&i| !is_seed[i as usize])
             .collect();
-        self.sow(&mut field.seeds, &rest)
+        self.finish((&mut field.seeds, &mut field.alone), &rest)
     }
 
     /// Gather once more at all seeds of `field`, if somebody can, and as long as that is less than gathering everywhere.

@@ -128,7 +128,7 @@ impl Work<'_> {
             for (cell, blended) in &agreed {
                 told.take(field, cell, blended, &mut orphans);
             }
-            self.sow(&mut field.seeds, &orphans)?;
+            self.finish((&mut field.seeds, &mut field.alone), &orphans)?;
             field
                 .smooth
                 .extend(agreed.into_iter().map(|(cell, _)| cell));
@@ -139,6 +139,7 @@ impl Work<'_> {
             cells = self.regrow(field, strictness, &disputed)?;
         }
         told.replace(&field.seeds);
+        field.alone.tell(&mut told.values);
         Ok(told)
     }
 

@@ -2,7 +2,7 @@
 
 use super::error::{Weighted, relative, values};
 use super::sample::Sample;
-use crate::gather::ErrorEstimate;
+use crate::gather::{ErrorEstimate, Thinning};
 use crate::results::{Aov, AovBuffer, Results};
 
 /// What the pilot knows about the truth at its receivers.
@@ -10,6 +10,8 @@ use crate::results::{Aov, AovBuffer, Results};
 pub struct Check {
     /// Receivers of the run.
     pub(super) sample: Sample,
+    /// See [`Thinning::evened`], of each; empty: 1.
+    pub(super) evened: Vec<f64>,
     pub(super) aovs: Vec<Known>,
     /// Values of `aovs` there, almost converged.
     pub(super) truth: Results,
@@ -28,11 +30,31 @@ pub(super) struct Known {
 }
 
 impl Check {
+    /// For results that rays saw as `thinning` says, if anything.
+    #[must_use]
+    pub fn thinned(mut self, thinning: Option<&Thinning>) -> Self {
+        let of = |thinning: &Thinning| {
+            let picks = self.sample.picks.iter();
+            picks.map(|&i| thinning.evened(i)).collect()
+        };
+        self.evened = thinning.map(of).unwrap_or_default();
+        self
+    }
+
     /// Error of `results`, one estimate an AOV of theirs that the pilot measured. Costs next to nothing: the values are
     /// there.
     pub fn errors(&self, results: &Results) -> Vec<ErrorEstimate> {
         let few = subset(results, &self.sample.picks);
         let weighted = Weighted(&self.sample.weights);
+        let squares: Vec<f64> = match self.evened.is_empty() {
+            true => self.sample.weights.clone(),
+            false => (self.sample.weights.iter().zip(&self.evened))
+                .map(|(weight, evened)| weight * evened)
+                .collect(),
+        };
+        let of_all = |weights: &[f64]| weights.iter().sum::<f64>();
+        // The truth's own error counts as the run's does.
+        let truths = of_all(&squares) / of_all(&self.sample.weights).max(f64::MIN_POSITIVE);
         let estimate = |known: &Known| {
             let run = values(&few, known.aov)?;
             let truth = values(&self.truth, known.aov)?;
@@ -41,8 +63,8 @@ impl Check {
             } else {
                 weighted.mean_magnitude(&truth)
             };
-            let both = relative(weighted.rms_difference(&run, &truth), mean);
-            let engine = (both * both - known.reference * known.reference).max(0.0);
+            let both = relative(Weighted(&squares).rms_difference(&run, &truth), mean);
+            let engine = (both * both - truths * known.reference * known.reference).max(0.0);
             Some(ErrorEstimate {
                 aov: known.aov,
                 relative_rmse: engine.sqrt().hypot(known.fixed),
@@ -72,6 +94,7 @@ pub(super) fn subset(results: &Results, picks: &[usize]) -> Results {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::results::{PixelShare, Target};
 
     fn one(aov: Aov, data: &[f32]) -> Results {
         Results {
@@ -96,6 +119,7 @@ mod tests {
                 picks: vec![0, 2],
                 weights: vec![1.0; 2],
             },
+            evened: Vec::new(),
             aovs: vec![known],
             truth: one(Aov::Visibility, &[0.5, 0.5]),
         };
@@ -114,5 +138,40 @@ mod tests {
         let results = one(Aov::Occlusion, &[0.5, 9.0, 0.45]);
         let found = check.errors(&results)[0].relative_rmse;
         assert!((found - 0.1 * 0.25_f64.sqrt()).abs() < 1e-6, "{found}");
+    }
+    /// Four receivers in one pixel, and one in another; picked: the one, and one of four.
+    #[test]
+    fn receivers_of_one_pixel_even_out_what_few_rays_err_by() {
+        let share = |receiver: u32| PixelShare {
+            pixel: receiver.min(1),
+            receiver,
+            weight: if receiver == 0 { 1.0 } else { 0.25 },
+        };
+        let target = Target::Image {
+            width: 2,
+            height: 1,
+            shares: (0..5).map(share).collect(),
+        };
+        let thinning = Thinning::of(&target, 5);
+        let check = Check {
+            sample: Sample {
+                picks: vec![0, 3],
+                weights: vec![1.0; 2],
+            },
+            evened: Vec::new(),
+            aovs: vec![Known {
+                aov: Aov::Visibility,
+                mean: 0.5,
+                fixed: 0.0,
+                reference: 0.0,
+            }],
+            truth: one(Aov::Visibility, &[0.5, 0.5]),
+        };
+        let results = one(Aov::Visibility, &[0.55, 9.0, 9.0, 0.6, 9.0]);
+        let told = |check: &Check| check.errors(&results)[0].relative_rmse;
+        // Off by 0.1 and 0.2 of the mean; four independent ones of 0.2 are off by 0.1 together.
+        assert!((told(&check) - 0.025_f64.sqrt()).abs() < 1e-6);
+        let thinned = check.thinned(thinning.as_ref());
+        assert!((told(&thinned) - 0.1).abs() < 1e-6, "{}", told(&thinned));
     }
 }

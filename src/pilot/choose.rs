@@ -16,12 +16,11 @@ use super::{Candidate, Maps, Method, Outcome, Pick, Pilot, Trial};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::estimate::spread;
 use crate::gather::maps::{self, MapsSettings};
-use crate::gather::{ErrorEstimate, GatherScene};
+use crate::gather::{ErrorEstimate, GatherScene, RaysSettings, Thinning};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 
-/// Power of the number of rays (or light samples) that their error falls with: measured from 64 to 4096 lattice rays.
-pub(crate) const LAW: f64 = 0.75;
+pub(crate) const LAW: f64 = RaysSettings::LAW;
 
 /// Range in which a measured power is believed: random rays have 0.5, smooth integrands 1.
 const LAWS: (f64, f64) = (0.5, 1.0);
@@ -356,8 +355,9 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
 
     /// [`Self::run_seconds`] of rays, fewer where receivers speak for each other.
     fn rays_seconds(&self, seconds_per_receiver: f64) -> f64 {
-        let all = self.run_seconds(seconds_per_receiver);
-        let blended = |share| DOUBT * (APART * share * all + self.run_seconds(BLENDING));
+        let each = self.run_seconds(seconds_per_receiver);
+        let all = each * self.pilot.thinning.map_or(1.0, Thinning::cost);
+        let blended = |share| DOUBT * (APART * share * each + self.run_seconds(BLENDING));
         self.share.map_or(all, |share| all.min(blended(share)))
     }
 
@@ -513,6 +513,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
             truth.buffers.push(values);
         }
         Some(Check {
+            evened: Vec::new(),
             sample: self.sample.clone(),
             aovs,
             truth,

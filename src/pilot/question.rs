@@ -4,8 +4,8 @@ use super::check::Check;
 use super::light::LightScenes;
 use super::{Candidate, Knobs, Method, Pick};
 use crate::diagnostics::Cancelled;
-use crate::gather::ErrorEstimate;
 use crate::gather::maps::MapsPlan;
+use crate::gather::{ErrorEstimate, Thinning};
 use crate::receivers::Receivers;
 use crate::results::Aov;
 
@@ -26,6 +26,8 @@ pub struct Pilot<'a, 'c> {
     /// Share of the receivers that so many rays would see for where receivers speak for each other; `None` where they do not,
     /// or nobody can tell.
     pub share: Share<'a>,
+    /// How rays see where pixels have many receivers.
+    pub thinning: Option<&'a Thinning>,
     /// Everything else that could do the whole job, cheap settings of an engine before dear ones.
     pub candidates: &'a [Candidate<'c>],
     /// Depth maps for what only asks for the sky.

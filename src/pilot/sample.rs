@@ -8,6 +8,7 @@
 use super::error::{mean_magnitude, values};
 use super::{Method, Pilot};
 use crate::diagnostics::{Cancelled, Diagnostics};
+use crate::gather::Thinning;
 use crate::gather::estimate::spread;
 use crate::results::{Aov, Results};
 
@@ -16,6 +17,9 @@ const LOOKS: usize = 8;
 
 /// Share of the picks that no light has a say in: noise of darkness counts too.
 const EVEN: f64 = 0.3;
+
+/// Parts of pixels that receivers stand for, if that is known; else each counts alike.
+type Parts<'a> = Option<&'a Thinning>;
 
 /// Receivers and how much each counts.
 #[derive(Debug, Clone)]
@@ -27,27 +31,35 @@ pub(super) struct Sample {
 }
 
 impl Sample {
-    /// `count` of `all` receivers, each as good as the other.
-    pub(super) fn even(all: usize, count: usize) -> Self {
+    /// `count` of `all` receivers, each as good as the other; or by their parts of pixels.
+    pub(super) fn even(all: usize, count: usize, parts: Parts<'_>) -> Self {
+        if parts.is_some() && all > count {
+            let all: Vec<usize> = (0..all).collect();
+            return Self::by_light(&all, &vec![1.0; all.len()], count, parts);
+        }
         let picks = spread(all, count);
         let weights = vec![1.0; picks.len()];
         Self { picks, weights }
     }
 
-    /// About `count` of `looked`, in order, by the light that was seen there; evenly where there is none.
-    fn by_light(looked: &[usize], light: &[f64], count: usize) -> Self {
-        let mean = mean_magnitude(light);
+    /// About `count` of `looked`, in order, by the light that was seen there; evenly where there is none. Each counts, and is
+    /// picked, by its part of a pixel beside.
+    fn by_light(looked: &[usize], light: &[f64], count: usize, parts: Parts<'_>) -> Self {
+        let part = |i: usize| parts.map_or(1.0, |parts| f64::from(parts.part(i)));
+        let all: f64 = looked.iter().map(|&i| part(i)).sum();
+        let seen = looked.iter().zip(light);
+        let mean = seen.map(|(&i, light)| part(i) * light.abs()).sum::<f64>() / all;
         let is_lit = mean > 0.0 && mean.is_finite();
         let share = |light: f64| match is_lit {
             true => EVEN + (1.0 - EVEN) * light / mean,
             false => 1.0,
         };
         // A comb over the running sum: neighbors in order are neighbors in space, and each stretch is picked of.
-        let step = looked.len() as f64 / count as f64;
+        let step = all / count as f64;
         let (mut sum, mut teeth) = (0.0, 0.5);
         let (mut picks, mut weights) = (Vec::new(), Vec::new());
         for (&i, &light) in looked.iter().zip(light) {
-            sum += share(light);
+            sum += part(i) * share(light);
             let mut hits = 0.0;
             while teeth * step < sum {
                 hits += 1.0;
@@ -76,13 +88,14 @@ impl Sample {
         let aovs = aovs.filter(|&&aov| pilot.scenes.depends_on_engine(aov));
         let (mut lit, open): (Vec<Aov>, Vec<Aov>) = aovs.partition(|aov| aov.needs_indirect());
         if lit.is_empty() || all <= count {
-            return Ok(Self::even(all, count));
+            return Ok(Self::even(all, count, pilot.thinning));
         }
         lit.extend(open.first().map(|_| Aov::Visibility));
         let looked = spread(all, (LOOKS * count).min(all));
         let few = pilot.receivers.subset(&looked);
         let seen = engine.gather(pilot.scenes.engine(), &few, &lit, diagnostics)?;
-        Ok(Self::by_light(&looked, &light(&seen, few.len()), count))
+        let light = light(&seen, few.len());
+        Ok(Self::by_light(&looked, &light, count, pilot.thinning))
     }
 }
 
@@ -111,7 +124,7 @@ fn light(seen: &Results, count: usize) -> Vec<f64> {
 mod tests {
     use super::super::error::Weighted;
     use super::*;
-    use crate::results::AovBuffer;
+    use crate::results::{AovBuffer, PixelShare, Target};
 
     /// A few receivers ten times as bright as the others, and errors of a tenth of the light.
     fn lit(count: usize) -> (Vec<f64>, f64) {
@@ -126,7 +139,7 @@ mod tests {
     fn receivers_picked_by_light_tell_the_error_of_all() {
         let (light, truth) = lit(4_000);
         let looked: Vec<usize> = (0..light.len()).collect();
-        let sample = Sample::by_light(&looked, &light, 256);
+        let sample = Sample::by_light(&looked, &light, 256, None);
         assert!(sample.picks.is_sorted() && sample.picks.len() <= 256 && sample.picks.len() > 200);
         let bright = sample.picks.iter().filter(|&&i| light[i] > 5.0).count();
         assert!(bright > 30, "{bright} of 80 are bright");
@@ -143,12 +156,15 @@ mod tests {
     fn where_all_is_alike_or_dark_all_count_alike() {
         let looked: Vec<usize> = (0..2_048).map(|i| 3 * i).collect();
         for light in [1.0, 0.0, f64::NAN] {
-            let sample = Sample::by_light(&looked, &vec![light; looked.len()], 256);
+            let sample = Sample::by_light(&looked, &vec![light; looked.len()], 256, None);
             assert_eq!(sample.picks.len(), 256);
             let sum: f64 = sample.weights.iter().map(|w| (w - 1.0).abs()).sum();
             assert!(sum < 1e-6, "{sum}");
         }
-        assert_eq!(Sample::even(10, 20).picks, (0..10).collect::<Vec<_>>());
+        assert_eq!(
+            Sample::even(10, 20, None).picks,
+            (0..10).collect::<Vec<_>>()
+        );
     }
 
     #[test]
@@ -172,5 +188,38 @@ mod tests {
             ..Results::default()
         };
         assert_eq!(light(&open, 4), [0.0, 0.0, 2.0, 2.0]);
+    }
+
+    /// Every other pixel shows 1 receiver, the others 4 that are dark.
+    #[test]
+    fn receivers_are_picked_by_their_parts_of_pixels() {
+        let of = |i: u32| match i % 5 {
+            0 => (2 * (i / 5), 1.0, 1.0),
+            _ => (2 * (i / 5) + 1, 0.25, 0.2),
+        };
+        let share = |receiver| PixelShare {
+            pixel: of(receiver).0,
+            receiver,
+            weight: of(receiver).1,
+        };
+        let target = Target::Image {
+            width: 800,
+            height: 1,
+            shares: (0..2_000).map(share).collect(),
+        };
+        let thinning = Thinning::of(&target, 2_000);
+        let light: Vec<f64> = (0..2_000).map(|i| of(i).2).collect();
+        let looked: Vec<usize> = (0..light.len()).collect();
+        for sample in [
+            Sample::even(light.len(), 256, thinning.as_ref()),
+            Sample::by_light(&looked, &light, 256, thinning.as_ref()),
+        ] {
+            let few: Vec<f64> = sample.picks.iter().map(|&i| light[i]).collect();
+            let mean = Weighted(&sample.weights).mean_magnitude(&few);
+            assert!((mean - 0.6).abs() < 0.01, "{mean} in pixels");
+            let dark = sample.picks.iter().filter(|&&i| i % 5 > 0).count() as f64;
+            let share = dark / sample.picks.len() as f64;
+            assert!((0.25..0.55).contains(&share), "{share}");
+        }
     }
 }

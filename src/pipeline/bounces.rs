@@ -120,6 +120,7 @@ impl CloudGather for BounceLight<'_> {
             engine: &self.rays.engine(cloud, pass),
             again: None,
             fewer: None,
+            thin: None,
             receivers,
             kinds: None,
             aovs: &[Aov::IrradianceIndirect],

@@ -10,7 +10,7 @@ use super::stand::Stand;
 use super::world::World;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::maps::{self, MapsSettings};
-use crate::gather::{self, GatherScene, RaysSettings};
+use crate::gather::{self, GatherScene, RaysSettings, Thinning};
 use crate::interpolate::{self, Gathering, InterpolateSettings};
 use crate::lighting::{LightSamples, Lighting};
 use crate::pilot::{self, Candidate, Knobs, LightScenes, Maps, Method, Outcome, Pick, Pilot};
@@ -185,9 +185,21 @@ impl Found {
 
     /// Replace what the pilot foretold by what came of it at the pilot's receivers.
     pub(super) fn look_back(&self, results: &Results, report: &mut Report) {
-        let check = self.outcome.as_ref().and_then(|found| found.check.as_ref());
+        self.look_back_at(results, None, report);
+    }
+
+    /// The same where rays saw as `thinning` says.
+    pub(super) fn look_back_at(
+        &self,
+        results: &Results,
+        thinning: Option<&Thinning>,
+        report: &mut Report,
+    ) {
+        let check = self.outcome.as_ref().and_then(|found| found.check.clone());
         if let Some(check) = check {
-            report.error.replace(&check.errors(results));
+            report
+                .error
+                .replace(&check.thinned(thinning).errors(results));
         }
     }
 }
@@ -255,9 +267,13 @@ fn warn_of_screens(stand: &Stand<'_>, diagnostics: &Diagnostics) {
 }
 
 /// What interpolation has to keep where `outcome` led to it: the tolerance, or what rays alone err by.
-pub(super) fn promise_of_rays(outcome: &Outcome, tolerance: f64) -> Option<Promise> {
+pub(super) fn promise_of_rays(
+    outcome: &Outcome,
+    tolerance: f64,
+    thinning: Option<&Thinning>,
+) -> Option<Promise> {
     Some(Promise {
-        check: outcome.check.clone()?,
+        check: outcome.check.clone()?.thinned(thinning),
         tolerance: tolerance.max(outcome.worst().unwrap_or(0.0)),
     })
 }
@@ -366,6 +382,7 @@ fn foreseen(
         engine: &stand.rays_with(stand.rays_settings(fewer)),
         again: None,
         fewer: None,
+        thin: None,
         receivers: stand.receivers,
         kinds: None,
         aovs: stand.aovs,
@@ -421,6 +438,7 @@ pub(super) fn look(
         evened,
         rays: &rays,
         share: &share,
+        thinning: (stand.thinning().filter(|_| interpolates(stand))).map(AsRef::as_ref),
         candidates: &candidates,
         maps: match stand.job.engine {
             EngineChoice::Auto if is_sky => {

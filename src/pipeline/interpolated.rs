@@ -4,7 +4,7 @@ use super::maps::Promise;
 use super::report::Report;
 use super::stand::Stand;
 use crate::diagnostics::{Cancelled, Diagnostics};
-use crate::gather::{GatherScene, RaysEngine, RaysSettings};
+use crate::gather::{GatherScene, RaysEngine, RaysSettings, ThinEngines};
 use crate::interpolate::{self, Fewer, Gathering, InterpolateSettings};
 use crate::pilot::{self, Method};
 use crate::receivers::Receivers;
@@ -31,6 +31,7 @@ struct Engines<'a> {
     again: RaysEngine<'a>,
     /// See [`Gathering::fewer`]; how many they are, and what they err by.
     fewer: Option<(RaysEngine<'a>, u32, f64)>,
+    thin: Option<ThinEngines<'a>>,
 }
 
 /// Fewer rays err by about so many times what all do. One bounce, 512², 5 and 2 %, over the time with all: Cornell box 0.83,
@@ -54,6 +55,7 @@ impl<'a> Engines<'a> {
             again: engine(settings.again()),
             fewer: (settings.rays >= MANY && errors > 1.0)
                 .then(|| (engine(fewer), fewer.rays, errors)),
+            thin: None,
         }
     }
 }
@@ -69,7 +71,9 @@ impl<'a> InterpolatedMethod<'a> {
     ) -> Self {
         let engine = |settings| stand.rays_with(settings);
         let settings = stand.rays_settings(rays);
-        Self::between((settings, &engine), (tolerance, refusals), promise)
+        let mut method = Self::between((settings, &engine), (tolerance, refusals), promise);
+        method.engines.thin = stand.thin_rays(rays);
+        method
     }
 
     /// The same between what an `engine` with these rays sees, or the mean of such.
@@ -124,6 +128,7 @@ impl Method for InterpolatedMethod<'_> {
             usual,
             again,
             fewer,
+            thin,
         } = &self.engines;
         let kinds = usual.kinds(receivers);
         let gathering = Gathering {
@@ -134,6 +139,7 @@ impl Method for InterpolatedMethod<'_> {
                 engine,
                 errors: *errors,
             }),
+            thin: thin.as_ref(),
             receivers,
             kinds: kinds.as_deref(),
             aovs,

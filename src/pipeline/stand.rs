@@ -11,7 +11,9 @@ use crate::bounce::Bounces;
 use crate::gather::maps::MapsPlan;
 use crate::gather::paper::{PaperEngine, PaperSettings};
 use crate::gather::rays::lobe::Lobes;
-use crate::gather::{GatherScene, HitLight, RadianceSource, RaysEngine, RaysSettings};
+use crate::gather::{
+    Engine, GatherScene, HitLight, RadianceSource, RaysEngine, RaysSettings, ThinEngines, Thinning,
+};
 use crate::lighting::Lighting;
 use crate::octree::Octree;
 use crate::pilot::Method;
@@ -20,6 +22,7 @@ use crate::results::Aov;
 use crate::scene::PrimId;
 use crate::surfels::SurfelCloud;
 use std::cell::OnceCell;
+use std::sync::Arc;
 
 /// Rays into a cone at least: all receivers have the same, and fewer print their pattern into what fades with distance (16
 /// in the room of `examples`, whose error they kept below 2 %).
@@ -36,6 +39,7 @@ pub(super) struct Stand<'a> {
     source: Option<RadianceSource<'a>>,
     octree: OnceCell<Octree>,
     maps_plan: OnceCell<MapsPlan<'a>>,
+    thinning: OnceCell<Option<Arc<Thinning>>>,
     /// Part of the hemisphere that is asked about: by rays alone, if it is not the whole.
     pub(super) part: Part,
     pub(super) receivers: &'a Receivers,
@@ -62,6 +66,7 @@ impl<'a> Stand<'a> {
             },
             octree: OnceCell::new(),
             maps_plan: OnceCell::new(),
+            thinning: OnceCell::new(),
             part: Part::Whole,
             receivers,
             aovs,
@@ -139,6 +144,27 @@ impl<'a> Stand<'a> {
             tracer: &self.world.tracer,
         };
         engine.of_lobes(lobes, settings)
+    }
+
+    /// How rays see where pixels have many receivers, if a tolerance of these is to be met.
+    pub(super) fn thinning(&self) -> Option<&Arc<Thinning>> {
+        let asks_error = self.aovs.iter().any(|aov| aov.error_of().is_some());
+        let is_asked = self.job.tolerance.is_some() && self.job.interpolate;
+        if !is_asked || asks_error || self.is_partial() {
+            return None;
+        }
+        let receivers = self.receivers;
+        let found = || Thinning::of(&receivers.target, receivers.len()).map(Arc::new);
+        self.thinning.get_or_init(found).as_ref()
+    }
+
+    /// Who sees where pixels have many receivers, with part of so many rays.
+    pub(super) fn thin_rays(&self, rays: u32) -> Option<ThinEngines<'a>> {
+        let settings = self.rays_settings(rays);
+        let engine =
+            |class| Box::new(self.rays_with(settings.thinned(class))) as Box<dyn Engine + 'a>;
+        let thinning = self.thinning()?;
+        Some(ThinEngines::new(Arc::clone(thinning), &engine))
     }
 
     /// Rays that find light anew at whatever they hit: truth for one reflection, but for noise. `None` where a few rays

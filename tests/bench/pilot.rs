@@ -86,6 +86,7 @@ impl Question<'_> {
             evened: 1.0,
             rays: &rays,
             share: &|_| Ok(None),
+            thinning: None,
             candidates: &[],
             maps: self.maps,
             surfel_errors: &[],

@@ -248,7 +248,11 @@ pub(super) fn auto<'s>(
         Chosen::Paper(knobs) => ("paper", paper_knobs(knobs), Box::new(stand.paper(knobs))),
         Chosen::Rays(rays) => {
             let method: Box<dyn Method + 's> = if choice.interpolates.is_some() {
-                let promise = choice::promise_of_rays(&outcome, tolerance);
+                let promise = choice::promise_of_rays(
+                    &outcome,
+                    tolerance,
+                    stand.thinning().map(AsRef::as_ref),
+                );
                 Box::new(InterpolatedMethod::new(
                     stand,
                     rays,

@@ -1,0 +1,81 @@
+//! Receivers who speak for nobody, in pixels that have many: a few rays of each do.
+
+use super::seeds::Seeds;
+use super::{Work, base};
+use crate::diagnostics::Cancelled;
+use crate::gather::{self, Engine, Hemisphere};
+
+/// Others of a cell who take no more than so many times the rays of one are seen at once: three seeds more would tell whether
+/// they need to be.
+const SOON: f64 = 6.0;
+
+/// What was seen at those who speak for nobody.
+#[derive(Debug, Default)]
+pub(super) struct Alone {
+    receiver: Vec<u32>,
+    /// Of the base, side by side.
+    values: Vec<f32>,
+}
+
+impl Alone {
+    pub(super) fn len(&self) -> usize {
+        self.receiver.len()
+    }
+
+    /// Forget what was seen at these receivers.
+    pub(super) fn take(&mut self) -> Vec<u32> {
+        std::mem::take(self).receiver
+    }
+
+    /// Put what was seen to the values of all receivers.
+    pub(super) fn tell(&self, all: &mut [f32]) {
+        let n = self.values.len() / self.len().max(1);
+        for (&i, value) in self.receiver.iter().zip(self.values.chunks_exact(n.max(1))) {
+            all[i as usize * n..][..n].copy_from_slice(value);
+        }
+    }
+}
+
+impl Work<'_> {
+    /// Gather at the receivers `which`, who need not speak for others: with few rays, where those do.
+    pub(super) fn finish(
+        &self,
+        (seeds, alone): (&mut Seeds, &mut Alone),
+        which: &[u32],
+    ) -> Result<(), Cancelled> {
+        let Some(thin) = self.gathering.thin else {
+            return self.sow(seeds, which);
+        };
+        thin.try_each(which, &mut |engine, which| {
+            let Some(engine) = engine else {
+                return self.sow(seeds, which);
+            };
+            alone.receiver.extend_from_slice(which);
+            alone.values.extend(self.values(engine, which)?);
+            Ok(())
+        })
+    }
+
+    /// True if it is as well to gather at all of `others`, who are in one cell with a seed, as to cut it.
+    pub(super) fn is_thin(&self, others: impl Iterator<Item = u32>) -> bool {
+        self.gathering.thin.is_some_and(|thin| {
+            let rays = others.map(|i| thin.thinning().class(i as usize).share());
+            rays.sum::<f64>() <= SOON
+        })
+    }
+
+    /// What `engine` sees at the receivers `which`, of the base.
+    fn values(&self, engine: &dyn Engine, which: &[u32]) -> Result<Vec<f32>, Cancelled> {
+        let receivers = self.gathering.receivers;
+        let few = receivers.subset(&which.iter().map(|&i| i as usize).collect::<Vec<_>>());
+        let reading = |i: usize, hemisphere: &Hemisphere, out: &mut [f32]| {
+            base::read(self.base, (&few, i), hemisphere, out);
+        };
+        gather::read(
+            engine,
+            &few,
+            (self.components(), &reading),
+            self.diagnostics,
+        )
+    }
+}
