@@ -7,7 +7,6 @@ mod scenes;
 use glam::Vec3;
 use scenes::{floor_under_a_roof, polygon_irradiance, receivers_in};
 use std::f32::consts::PI;
-use std::sync::Arc;
 use surflux::diagnostics::Diagnostics;
 use surflux::gather::{
     Engine, GatherScene, RaysEngine, RaysSettings, ThinEngines, Thinning, gather,
@@ -63,7 +62,8 @@ fn a_pixel_of_many_receivers_takes_few_rays_of_each() {
     let (tracer, diagnostics) = (Tracer::new(&scene), Diagnostics::default());
     let mut receivers = receivers_in(&scene, floor, 1);
     put_into_pixels(&mut receivers);
-    let thinning = Arc::new(Thinning::of(&receivers.target, receivers.len()).expect("it pays"));
+    let thinning = Thinning::of(&receivers.target, receivers.len(), RaysSettings::LAW);
+    let thinning = thinning.expect("it pays");
     assert!(thinning.cost() < 0.51, "{}", thinning.cost());
     let engine = |settings| RaysEngine::new(&tracer, None, settings);
     let thin = |class| Box::new(engine(RAYS.thinned(class))) as Box<dyn Engine>;

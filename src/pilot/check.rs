@@ -152,7 +152,7 @@ mod tests {
             height: 1,
             shares: (0..5).map(share).collect(),
         };
-        let thinning = Thinning::of(&target, 5);
+        let thinning = Thinning::of(&target, 5, 0.75);
         let check = Check {
             sample: Sample {
                 picks: vec![0, 3],

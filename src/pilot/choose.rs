@@ -176,6 +176,8 @@ struct Look {
 /// Rays that were chosen and what judges everything else.
 struct Judge {
     rays: f64,
+    /// See [`Ladder::law`].
+    law: f64,
     seconds_per_receiver: f64,
     /// The same of a receiver without neighbors.
     lone_seconds: f64,
@@ -188,6 +190,7 @@ struct Judge {
 /// Rays that each AOV needs, and the power that their error falls with.
 struct Ladder {
     needed: Vec<f64>,
+    /// Of the largest error, as far as it was measured.
     law: f64,
 }
 
@@ -475,6 +478,7 @@ impl<'b, 'a, 'c> Bench<'b, 'a, 'c> {
         Outcome {
             pick: best.pick,
             rays: judge.as_ref().map(|judge| round(judge.rays)),
+            law: judge.as_ref().map_or(LAW, |judge| judge.law),
             light_scale: self.light.scale,
             errors,
             trials: std::mem::take(&mut self.trials),

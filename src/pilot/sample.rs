@@ -207,7 +207,7 @@ mod tests {
             height: 1,
             shares: (0..2_000).map(share).collect(),
         };
-        let thinning = Thinning::of(&target, 2_000);
+        let thinning = Thinning::of(&target, 2_000, 0.75);
         let light: Vec<f64> = (0..2_000).map(|i| of(i).2).collect();
         let looked: Vec<usize> = (0..light.len()).collect();
         for sample in [

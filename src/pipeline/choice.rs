@@ -22,6 +22,8 @@ pub(super) struct Choice {
     pub(super) engine: Chosen,
     /// Times the default light samples.
     light_scale: u32,
+    /// Power of the number of rays that their error falls with.
+    pub(super) law: f64,
     /// Rays see for some receivers, and these speak for the others; so many of their results are refused.
     pub(super) interpolates: Option<u32>,
 }
@@ -62,6 +64,7 @@ impl Choice {
                 }),
             },
             light_scale: 1,
+            law: pilot::LAW,
             interpolates: None,
         }
     }
@@ -87,6 +90,7 @@ impl Choice {
         Self {
             engine,
             light_scale: outcome.light_scale,
+            law: outcome.law,
             interpolates: interpolates(stand).then_some(0),
         }
     }
@@ -267,13 +271,9 @@ fn warn_of_screens(stand: &Stand<'_>, diagnostics: &Diagnostics) {
 }
 
 /// What interpolation has to keep where `outcome` led to it: the tolerance, or what rays alone err by.
-pub(super) fn promise_of_rays(
-    outcome: &Outcome,
-    tolerance: f64,
-    thinning: Option<&Thinning>,
-) -> Option<Promise> {
+pub(super) fn promise_of_rays(outcome: &Outcome, tolerance: f64) -> Option<Promise> {
     Some(Promise {
-        check: outcome.check.clone()?.thinned(thinning),
+        check: outcome.check.clone()?,
         tolerance: tolerance.max(outcome.worst().unwrap_or(0.0)),
     })
 }
@@ -438,7 +438,7 @@ pub(super) fn look(
         evened,
         rays: &rays,
         share: &share,
-        thinning: (stand.thinning().filter(|_| interpolates(stand))).map(AsRef::as_ref),
+        thinning: stand.thinning().filter(|_| interpolates(stand)),
         candidates: &candidates,
         maps: match stand.job.engine {
             EngineChoice::Auto if is_sky => {

@@ -228,14 +228,18 @@ fn see_interpolated(
     let reference = stand.rays_with(stand.rays_settings(rays).reference());
     let tolerance = stand.job.tolerance.unwrap_or(0.0);
     let outcome = found.outcome.as_ref();
-    let thinning = stand.thinning().map(AsRef::as_ref);
-    let promise = outcome.and_then(|outcome| choice::promise_of_rays(outcome, tolerance, thinning));
+    let promise = outcome.and_then(|outcome| choice::promise_of_rays(outcome, tolerance));
     let refusals = found.choice.interpolates.unwrap_or(0);
-    let method = InterpolatedMethod::new(stand, rays, (tolerance, refusals), promise);
+    let method = InterpolatedMethod::new(
+        stand,
+        (rays, found.choice.law),
+        (tolerance, refusals),
+        promise,
+    );
     let run = (&mut *report, diagnostics);
     let results = see(stand, scene, ("rays", &method, rays_judge(&reference)), run)?;
     method.record(report);
-    found.look_back_at(&results, thinning, report);
+    found.look_back_at(&results, method.thinning(), report);
     found.choice.keep_rays(&method, stand.aovs, report);
     Ok(results)
 }

@@ -4,7 +4,7 @@ use super::maps::Promise;
 use super::report::Report;
 use super::stand::Stand;
 use crate::diagnostics::{Cancelled, Diagnostics};
-use crate::gather::{GatherScene, RaysEngine, RaysSettings, ThinEngines};
+use crate::gather::{GatherScene, RaysEngine, RaysSettings, ThinEngines, Thinning};
 use crate::interpolate::{self, Fewer, Gathering, InterpolateSettings};
 use crate::pilot::{self, Method};
 use crate::receivers::Receivers;
@@ -62,17 +62,24 @@ impl<'a> Engines<'a> {
 
 impl<'a> InterpolatedMethod<'a> {
     /// For a run on `stand` with so many rays that may err by `tolerance`, of which the first results are refused as at the frame
-    /// before. With a promise, receivers are those of the whole run.
+    /// before; errors of rays fall by this `law`. With a promise, receivers are those of the whole run.
     pub(super) fn new(
         stand: &Stand<'a>,
-        rays: u32,
+        (rays, law): (u32, f64),
         (tolerance, refusals): (f64, u32),
         promise: Option<Promise>,
     ) -> Self {
         let engine = |settings| stand.rays_with(settings);
         let settings = stand.rays_settings(rays);
+        let thin = stand.thin_rays((rays, law));
+        let promise = promise.map(|promise| Promise {
+            check: promise
+                .check
+                .thinned(thin.as_ref().map(ThinEngines::thinning)),
+            ..promise
+        });
         let mut method = Self::between((settings, &engine), (tolerance, refusals), promise);
-        method.engines.thin = stand.thin_rays(rays);
+        method.engines.thin = thin;
         method
     }
 
@@ -96,6 +103,12 @@ impl<'a> InterpolatedMethod<'a> {
         }
     }
 
+    /// How rays saw where pixels have many receivers.
+    pub(super) fn thinning(&self) -> Option<&Thinning> {
+        let is_thin = !self.is_redone();
+        (self.engines.thin.as_ref().filter(|_| is_thin)).map(ThinEngines::thinning)
+    }
+
     /// True if interpolation has broken the promise.
     pub(super) fn is_redone(&self) -> bool {
         self.is_redone.load(Ordering::Relaxed)
@@ -112,6 +125,9 @@ impl<'a> InterpolatedMethod<'a> {
         let fewer = self.engines.fewer.as_ref();
         if let Some((_, rays, _)) = fewer.filter(|_| self.is_by_fewer.load(Ordering::Relaxed)) {
             report.set("gathered_rays", *rays);
+        }
+        if let Some(thinning) = self.thinning() {
+            report.set("thinned_rays", thinning.cost());
         }
     }
 }

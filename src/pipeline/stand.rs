@@ -22,7 +22,6 @@ use crate::results::Aov;
 use crate::scene::PrimId;
 use crate::surfels::SurfelCloud;
 use std::cell::OnceCell;
-use std::sync::Arc;
 
 /// Rays into a cone at least: all receivers have the same, and fewer print their pattern into what fades with distance (16
 /// in the room of `examples`, whose error they kept below 2 %).
@@ -39,7 +38,7 @@ pub(super) struct Stand<'a> {
     source: Option<RadianceSource<'a>>,
     octree: OnceCell<Octree>,
     maps_plan: OnceCell<MapsPlan<'a>>,
-    thinning: OnceCell<Option<Arc<Thinning>>>,
+    thinning: OnceCell<Option<Thinning>>,
     /// Part of the hemisphere that is asked about: by rays alone, if it is not the whole.
     pub(super) part: Part,
     pub(super) receivers: &'a Receivers,
@@ -146,25 +145,29 @@ impl<'a> Stand<'a> {
         engine.of_lobes(lobes, settings)
     }
 
-    /// How rays see where pixels have many receivers, if a tolerance of these is to be met.
-    pub(super) fn thinning(&self) -> Option<&Arc<Thinning>> {
+    /// How rays see where pixels have many receivers, if a tolerance of these is to be met, as far as it is known before any errors
+    /// are.
+    pub(super) fn thinning(&self) -> Option<&Thinning> {
+        self.thinning
+            .get_or_init(|| self.thinned(RaysSettings::LAW))
+            .as_ref()
+    }
+
+    fn thinned(&self, law: f64) -> Option<Thinning> {
         let asks_error = self.aovs.iter().any(|aov| aov.error_of().is_some());
         let is_asked = self.job.tolerance.is_some() && self.job.interpolate;
         if !is_asked || asks_error || self.is_partial() {
             return None;
         }
-        let receivers = self.receivers;
-        let found = || Thinning::of(&receivers.target, receivers.len()).map(Arc::new);
-        self.thinning.get_or_init(found).as_ref()
+        Thinning::of(&self.receivers.target, self.receivers.len(), law)
     }
 
-    /// Who sees where pixels have many receivers, with part of so many rays.
-    pub(super) fn thin_rays(&self, rays: u32) -> Option<ThinEngines<'a>> {
+    /// Who sees where pixels have many receivers, with part of so many rays, of which errors fall by this `law`.
+    pub(super) fn thin_rays(&self, (rays, law): (u32, f64)) -> Option<ThinEngines<'a>> {
         let settings = self.rays_settings(rays);
         let engine =
             |class| Box::new(self.rays_with(settings.thinned(class))) as Box<dyn Engine + 'a>;
-        let thinning = self.thinning()?;
-        Some(ThinEngines::new(Arc::clone(thinning), &engine))
+        Some(ThinEngines::new(self.thinned(law)?, &engine))
     }
 
     /// Rays that find light anew at whatever they hit: truth for one reflection, but for noise. `None` where a few rays

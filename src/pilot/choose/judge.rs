@@ -100,6 +100,7 @@ impl Bench<'_, '_, '_> {
             error_over_tolerance: Some(held.ratio),
         });
         Ok(Judge {
+            law: reference.law,
             share: reference.share(held.rays),
             rays: held.rays,
             seconds_per_receiver,

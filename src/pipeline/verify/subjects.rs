@@ -248,14 +248,10 @@ pub(super) fn auto<'s>(
         Chosen::Paper(knobs) => ("paper", paper_knobs(knobs), Box::new(stand.paper(knobs))),
         Chosen::Rays(rays) => {
             let method: Box<dyn Method + 's> = if choice.interpolates.is_some() {
-                let promise = choice::promise_of_rays(
-                    &outcome,
-                    tolerance,
-                    stand.thinning().map(AsRef::as_ref),
-                );
+                let promise = choice::promise_of_rays(&outcome, tolerance);
                 Box::new(InterpolatedMethod::new(
                     stand,
-                    rays,
+                    (rays, choice.law),
                     (tolerance, 0),
                     promise,
                 ))
