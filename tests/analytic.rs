@@ -461,6 +461,7 @@ fn the_estimate_is_of_the_size_of_the_true_error() {
         engine: &better,
         cost: 4,
         error_share: RaysSettings::REFERENCE_ERROR_SHARE,
+        thinning: None,
     };
     let estimates =
         estimate(dark, reference, &receivers, &results, &setup.diagnostics).expect("runs");

@@ -3,7 +3,7 @@
 //! The engine's own share is measured: what covers and lights the hemisphere. Errors that the run and its reference
 //! have in common (direct light's own samples, the surfels' spacing) are not.
 
-use super::{Engine, GatherScene, gather};
+use super::{Engine, GatherScene, Thinning, gather};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::math::sequence;
 use crate::receivers::Receivers;
@@ -30,6 +30,8 @@ pub struct Reference<'a> {
     /// Its expected squared error over that of the run's engine, 0…1; 0 = without error, which makes the estimate
     /// an upper bound. [`super::RaysSettings::REFERENCE_ERROR_SHARE`] for rays judging rays.
     pub error_share: f64,
+    /// How rays of the run saw where pixels have many receivers.
+    pub thinning: Option<&'a Thinning>,
 }
 
 /// Most receivers to measure at: their mean square is then known to within about 10 %.
@@ -67,7 +69,7 @@ pub fn estimate(
     }
     let few = receivers.subset(&picked);
     let truth = gather(scene, reference.engine, &few, &aovs, diagnostics)?;
-    Ok(compare(results, &truth, &picked, reference.error_share))
+    Ok(compare(results, (&truth, &picked), reference))
 }
 
 /// AOVs of `results` that a better look at the hemisphere can change. Not directions: where next to nothing is
@@ -130,10 +132,16 @@ fn at_fraction(fraction: f32, count: usize) -> usize {
 
 fn compare(
     results: &Results,
-    truth: &Results,
-    picked: &[usize],
-    error_share: f64,
+    (truth, picked): (&Results, &[usize]),
+    reference: Reference<'_>,
 ) -> Vec<ErrorEstimate> {
+    let weights = |&i: &usize| {
+        (reference.thinning).map_or((1.0, 1.0), |thinning| {
+            let part = f64::from(thinning.part(i));
+            (part, part * thinning.evened(i))
+        })
+    };
+    let weights: Vec<(f64, f64)> = picked.iter().map(weights).collect();
     truth
         .buffers
         .iter()
@@ -150,22 +158,27 @@ fn compare(
             };
             let as_measured = |x: f32| f64::from(if flip { 1.0 - x } else { x });
             let pairs = pairs.map(|(run, truth)| (as_measured(run), as_measured(truth)));
+            let weights = weights
+                .iter()
+                .flat_map(|&weights| (0..n).map(move |_| weights));
+            let error = relative_rmse(pairs.zip(weights));
             Some(ErrorEstimate {
                 aov,
-                relative_rmse: relative_rmse(pairs) / (1.0 + error_share).sqrt(),
+                relative_rmse: error / (1.0 + reference.error_share).sqrt(),
                 receivers: picked.len(),
             })
         })
         .collect()
 }
 
-/// rms(a − b) / mean |b| over pairs (a, b); the rms itself where b is zero throughout.
-fn relative_rmse(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
+/// rms(a − b) / mean |b| over pairs (a, b), each with what it counts, and what its square does; the rms itself where b is zero
+/// throughout.
+fn relative_rmse(pairs: impl Iterator<Item = ((f64, f64), (f64, f64))>) -> f64 {
     let (mut square, mut size, mut count) = (0.0, 0.0, 0.0);
-    for (a, b) in pairs {
-        square += (a - b) * (a - b);
-        size += b.abs();
-        count += 1.0;
+    for ((a, b), (weight, of_square)) in pairs {
+        square += of_square * (a - b) * (a - b);
+        size += weight * b.abs();
+        count += weight;
     }
     if count == 0.0 {
         return 0.0;
@@ -177,7 +190,24 @@ fn relative_rmse(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::results::AovBuffer;
+    use crate::gather::KnownEngine;
+    use crate::results::{AovBuffer, PixelShare, Target};
+
+    /// A reference that is right but for this share, and sees nothing.
+    fn by(error_share: f64) -> Reference<'static> {
+        const NOTHING: KnownEngine<'_> = KnownEngine {
+            occlusion: None,
+            indirect: None,
+            max_distance: f32::INFINITY,
+            name: "nothing",
+        };
+        Reference {
+            engine: &NOTHING,
+            cost: 1,
+            error_share,
+            thinning: None,
+        }
+    }
 
     fn one(aov: Aov, data: Vec<f32>) -> Results {
         Results {
@@ -190,21 +220,55 @@ mod tests {
     fn occlusion_is_measured_as_visibility() {
         let results = one(Aov::Occlusion, vec![0.9, 0.0, 0.9, 0.0]);
         let truth = one(Aov::Occlusion, vec![0.8, 0.8]);
-        let [estimate] = compare(&results, &truth, &[0, 2], 0.0)[..] else {
+        let [estimate] = compare(&results, (&truth, &[0, 2]), by(0.0))[..] else {
             panic!("one AOV, one estimate");
         };
         assert_eq!(estimate.aov, Aov::Visibility);
         assert!((estimate.relative_rmse - 0.5).abs() < 1e-6);
     }
 
+    /// One receiver of each of two pixels of four.
+    #[test]
+    fn receivers_of_one_pixel_even_out_what_few_rays_err_by() {
+        let share = |receiver: u32| PixelShare {
+            pixel: receiver / 4,
+            receiver,
+            weight: 0.25,
+        };
+        let target = Target::Image {
+            width: 2,
+            height: 1,
+            shares: (0..8).map(share).collect(),
+        };
+        let thinning = Thinning::of(&target, 8, 0.75);
+        let results = one(
+            Aov::Visibility,
+            vec![0.7, 0.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0],
+        );
+        let truth = one(Aov::Visibility, vec![0.5, 0.5]);
+        let thinned = Reference {
+            thinning: thinning.as_ref(),
+            ..by(0.0)
+        };
+        let told = |reference| compare(&results, (&truth, &[0, 5]), reference)[0].relative_rmse;
+        let (each, pixels) = (told(by(0.0)), told(thinned));
+        assert!(
+            (each - 0.4).abs() < 1e-6 && (pixels - 0.2).abs() < 1e-6,
+            "{each} {pixels}"
+        );
+    }
+
     #[test]
     fn the_reference_error_is_taken_out_of_the_difference() {
         let results = one(Aov::IrradianceIndirect, vec![3.0, 3.0, 3.0]);
         let truth = one(Aov::IrradianceIndirect, vec![2.0, 2.0, 2.0]);
-        let estimate = compare(&results, &truth, &[0], 0.125)[0];
+        let estimate = compare(&results, (&truth, &[0]), by(0.125))[0];
         assert!((estimate.relative_rmse - 0.5 / 1.125_f64.sqrt()).abs() < 1e-9);
         let black = one(Aov::IrradianceIndirect, vec![0.0; 3]);
-        assert_eq!(compare(&black, &black, &[0], 0.0)[0].relative_rmse, 0.0);
+        assert_eq!(
+            compare(&black, (&black, &[0]), by(0.0))[0].relative_rmse,
+            0.0
+        );
     }
 
     #[test]

@@ -68,8 +68,8 @@ impl Class {
 }
 
 impl Thinning {
-    /// For `count` receivers of `target`, whose errors fall with the number of rays to the power `law`. `None` where fewer rays are not worth it: next to all receivers have a pixel of their
-    /// own.
+    /// For `count` receivers of `target`, whose errors fall with the number of rays to the power `law`. `None` where fewer rays are
+    /// not worth it: next to all receivers have a pixel of their own.
     pub fn of(target: &Target, count: usize, law: f64) -> Option<Self> {
         let Target::Image { shares, .. } = target else {
             return None;

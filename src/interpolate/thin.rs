@@ -5,9 +5,10 @@ use super::{Work, base};
 use crate::diagnostics::Cancelled;
 use crate::gather::{self, Engine, Hemisphere};
 
-/// Others of a cell who take no more than so many times the rays of one are seen at once: three seeds more would tell whether
-/// they need to be.
+/// Others of a cell who take no more than so many times the rays of one, and no more than this part of all rays each, are seen at
+/// once: three seeds more would tell whether they need to be.
 const SOON: f64 = 6.0;
+const FEW: f64 = 0.6;
 
 /// What was seen at those who speak for nobody.
 #[derive(Debug, Default)]
@@ -59,8 +60,11 @@ impl Work<'_> {
     /// True if it is as well to gather at all of `others`, who are in one cell with a seed, as to cut it.
     pub(super) fn is_thin(&self, others: impl Iterator<Item = u32>) -> bool {
         self.gathering.thin.is_some_and(|thin| {
-            let rays = others.map(|i| thin.thinning().class(i as usize).share());
-            rays.sum::<f64>() <= SOON
+            let share = |i: u32| thin.thinning().class(i as usize).share();
+            let (rays, count) = others.fold((0.0, 0.0), |(rays, count), i| {
+                (rays + share(i), count + 1.0)
+            });
+            rays <= SOON && rays <= FEW * count
         })
     }
 

@@ -86,7 +86,7 @@ pub struct Outcome {
     pub pick: Pick,
     /// Rays that meet the tolerance for all AOVs, whether chosen or not; `None` if no AOV depends on them.
     pub rays: Option<u32>,
-    /// Power of the number of rays that their error falls with, as far as it was measured: else [`super::LAW`].
+    /// Power of the number of rays that their error falls with, as far as it was measured: else [`RaysSettings::LAW`](crate::gather::RaysSettings::LAW).
     pub law: f64,
     /// See [`Pilot::share`]; `None` if nobody asked.
     pub share: Option<f64>,

@@ -237,7 +237,11 @@ fn see_interpolated(
         promise,
     );
     let run = (&mut *report, diagnostics);
-    let results = see(stand, scene, ("rays", &method, rays_judge(&reference)), run)?;
+    let judge = Reference {
+        thinning: method.thinning(),
+        ..rays_judge(&reference)
+    };
+    let results = see(stand, scene, ("rays", &method, judge), run)?;
     method.record(report);
     found.look_back_at(&results, method.thinning(), report);
     found.choice.keep_rays(&method, stand.aovs, report);
@@ -256,6 +260,7 @@ fn see_paper(
         engine: &stand.rays_with(stand.rays_settings(stand.job.rays)),
         cost: PAPER_REFERENCE_COST,
         error_share: 0.0,
+        thinning: None,
     };
     let run = (report, diagnostics);
     see(stand, scene, ("paper", &stand.paper(knobs), reference), run)
@@ -273,6 +278,7 @@ fn see_maps(
         engine: &stand.rays_with(stand.rays_settings(maps::REFERENCE_RAYS)),
         cost: maps::REFERENCE_COST,
         error_share: 0.0,
+        thinning: None,
     };
     let run = (&mut *report, diagnostics);
     let results = see(stand, scene, ("maps", &method, reference), run)?;
@@ -288,6 +294,7 @@ fn rays_judge<'e>(engine: &'e RaysEngine<'_>) -> Reference<'e> {
         engine,
         cost: RaysSettings::REFERENCE_RATIO,
         error_share: RaysSettings::REFERENCE_ERROR_SHARE,
+        thinning: None,
     }
 }
 
@@ -305,6 +312,7 @@ fn see_raster(
         engine: &stand.rays_with(stand.rays_settings(raster::REFERENCE_RAYS)),
         cost: raster::REFERENCE_COST,
         error_share: 0.0,
+        thinning: None,
     };
     see(
         stand,
