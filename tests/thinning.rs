@@ -6,6 +6,7 @@ mod scenes;
 
 use glam::Vec3;
 use scenes::{floor_under_a_roof, polygon_irradiance, receivers_in};
+use std::cell::Cell;
 use std::f32::consts::PI;
 use surflux::diagnostics::Diagnostics;
 use surflux::gather::{
@@ -55,7 +56,8 @@ fn relative_rmse(found: &[f32], truth: &[f32]) -> f64 {
 }
 
 /// Receivers of which none may speak for another, four in each pixel: with half of the rays each, pixels are off by no more than
-/// one receiver with all rays. Where that is refused all rays see for everyone.
+/// one receiver with all rays. Where that is refused these look once more, in other directions, and in the end all rays see for
+/// everyone.
 #[test]
 fn a_pixel_of_many_receivers_takes_few_rays_of_each() {
     let (scene, floor, corners) = floor_under_a_roof(96);
@@ -66,7 +68,7 @@ fn a_pixel_of_many_receivers_takes_few_rays_of_each() {
     let thinning = thinning.expect("it pays");
     assert!(thinning.cost() < 0.51, "{}", thinning.cost());
     let engine = |settings| RaysEngine::new(&tracer, None, settings);
-    let thin = |class| Box::new(engine(RAYS.thinned(class))) as Box<dyn Engine>;
+    let thin = |class, glance| Box::new(engine(RAYS.thinned(class, glance))) as Box<dyn Engine>;
     let (shader, all) = (Shader::new(&scene, &diagnostics), engine(RAYS));
     let gathering = Gathering {
         scene: GatherScene {
@@ -87,13 +89,15 @@ fn a_pixel_of_many_receivers_takes_few_rays_of_each() {
         refusals: 0,
     };
     let open = |results: &Results| results.get(Aov::Visibility).expect("asked").data.clone();
-    let seen = |is_refused: bool| {
-        let found = interpolate::gather(gathering, settings, &|_| !is_refused, &diagnostics);
+    let seen = |refused: u32| {
+        let offers = Cell::new(0);
+        let accepts = |_: &Results| offers.replace(offers.get() + 1) >= refused;
+        let found = interpolate::gather(gathering, settings, &accepts, &diagnostics);
         let found = found.expect("not cancelled");
-        assert!(found.gathered >= receivers.len() && found.is_refused == is_refused);
+        assert!(found.gathered >= receivers.len() && found.is_refused == (refused > 9));
         open(&found.results)
     };
-    let (few, all_rays) = (seen(false), seen(true));
+    let (few, twice, all_rays) = (seen(0), seen(1), seen(10));
     let whole = gather(
         gathering.scene,
         &all,
@@ -107,6 +111,8 @@ fn a_pixel_of_many_receivers_takes_few_rays_of_each() {
     let truth: Vec<f32> = receivers.position.iter().map(truth).collect();
     let alone = relative_rmse(&all_rays, &truth);
     let together = relative_rmse(&in_pixels(&few), &in_pixels(&truth));
+    let again = relative_rmse(&in_pixels(&twice), &in_pixels(&truth));
+    assert!(again < 0.85 * together, "{again} {together}");
     let each = relative_rmse(&few, &truth);
     assert!(
         together < 1.1 * alone && each > 1.4 * alone,

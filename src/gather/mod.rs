@@ -20,7 +20,7 @@ pub use known::KnownEngine;
 pub use radiance::{DicedSurfels, LoadedCloud, RadianceSource};
 pub use raster::{RasterEngine, RasterSettings};
 pub use rays::{CloudRays, RaysEngine, RaysSettings};
-pub use thin::{Class, ThinEngines, Thinning};
+pub use thin::{Class, Glance, ThinEngines, Thinning};
 
 pub mod maps;
 pub mod paper;

@@ -13,7 +13,7 @@ mod through;
 
 use super::radiance::{DicedSurfels, RadianceSource};
 use super::ray_query::RayQuery;
-use super::{Class, CloudGather, Engine, Hemisphere, Pass};
+use super::{Class, CloudGather, Engine, Glance, Hemisphere, Pass};
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::math::sequence;
 use crate::receivers::Receivers;
@@ -93,7 +93,7 @@ impl RaysSettings {
 
     /// As many of these as receivers of `class` need, of a pattern of its own.
     #[must_use]
-    pub fn thinned(self, class: Class) -> Self {
+    pub fn thinned(self, class: Class, glance: Glance) -> Self {
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
@@ -102,7 +102,12 @@ impl RaysSettings {
         let rays = (f64::from(self.rays) * class.share()).ceil() as u32;
         Self {
             rays: rays.max(self.rays.min(FEWEST_THINNED)),
-            turn: self.turn + THINNED + class.pattern(),
+            turn: self.turn
+                + class.pattern()
+                + match glance {
+                    Glance::First => THINNED,
+                    Glance::Again => THINNED_AGAIN,
+                },
             ..self
         }
     }
@@ -125,8 +130,9 @@ const AGAIN: f32 = 0.33;
 /// Turn of [`RaysSettings::otherwise`]: 0.08 off the nearest of the others.
 const OTHERWISE: f32 = 0.625;
 
-/// Turn of the first pattern of [`RaysSettings::thinned`], of other numbers than all others.
+/// Turns of the first pattern of [`RaysSettings::thinned`], of other numbers than all others, and of the next look.
 const THINNED: f32 = 0.05;
+const THINNED_AGAIN: f32 = 0.16;
 
 /// Fewer rays than these see no light where it is.
 const FEWEST_THINNED: u32 = 16;

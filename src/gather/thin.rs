@@ -138,6 +138,17 @@ pub struct ThinEngines<'a> {
     thinning: Thinning,
     /// Of each of [`Class::thin`].
     engines: Vec<Box<dyn Engine + 'a>>,
+    /// The same in other directions.
+    again: Vec<Box<dyn Engine + 'a>>,
+}
+
+/// Which look of two at one place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Glance {
+    /// The first.
+    First,
+    /// One in other directions: the mean of both is closer.
+    Again,
 }
 
 /// Takes some receivers that see alike.
@@ -145,10 +156,12 @@ pub(super) type Visit<'v, E> = &'v mut dyn FnMut(Option<&dyn Engine>, &[u32]) ->
 
 impl<'a> ThinEngines<'a> {
     /// Each of the kind that `engine` makes.
-    pub fn new(thinning: Thinning, engine: &dyn Fn(Class) -> Box<dyn Engine + 'a>) -> Self {
+    pub fn new(thinning: Thinning, engine: &dyn Fn(Class, Glance) -> Box<dyn Engine + 'a>) -> Self {
+        let all = |glance| Class::thin().map(|class| engine(class, glance)).collect();
         Self {
             thinning,
-            engines: Class::thin().map(engine).collect(),
+            engines: all(Glance::First),
+            again: all(Glance::Again),
         }
     }
 
@@ -161,14 +174,22 @@ impl<'a> ThinEngines<'a> {
     ///
     /// # Errors
     /// Those of `visit`.
-    pub fn try_each<E>(&self, which: &[u32], visit: Visit<'_, E>) -> Result<(), E> {
+    pub fn try_each<E>(
+        &self,
+        (which, glance): (&[u32], Glance),
+        visit: Visit<'_, E>,
+    ) -> Result<(), E> {
+        let engines = match glance {
+            Glance::First => &self.engines,
+            Glance::Again => &self.again,
+        };
         let mut by_class = which.to_vec();
         let class = |i: u32| self.thinning.classes[i as usize];
         by_class.sort_by_key(|&i| class(i));
         for alike in by_class.chunk_by(|&a, &b| class(a) == class(b)) {
             let Class(class) = class(alike[0]);
             let engine = usize::from(class).checked_sub(1);
-            visit(engine.map(|k| self.engines[k].as_ref()), alike)?;
+            visit(engine.map(|k| engines[k].as_ref()), alike)?;
         }
         Ok(())
     }

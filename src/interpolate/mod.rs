@@ -8,7 +8,8 @@
 //! evened with these. Some blended values are gathered too, to see whether they are true: if not, cells are cut finer, and then
 //! all of their kind are gathered at (`tell`).
 //!
-//! Where a pixel has many receivers, and none can speak for others, each is seen by a few rays of its own (`thin`).
+//! Where a pixel has many receivers, and none can speak for others, each is seen by a few rays of its own, and by as many more
+//! where that is refused (`thin`).
 //!
 //! Where most of the largest cells are smooth, fewer rays see at first: evening leaves less of what these err by. Where that is
 //! refused, seeds see all that they may beside it (`steps`).
@@ -126,8 +127,9 @@ pub fn pays(receivers: &Receivers, aovs: &[Aov]) -> bool {
 const FEWEST: usize = 4096;
 
 /// Like [`gather::gather`], but not at every receiver, where that [`pays`]. Where `accepts` refuses results, seeds for which
-/// [`fewer`](Gathering::fewer) rays saw see with all; then cells are made smoother, seeds look [`again`](Gathering::again), and in
-/// the end every receiver is gathered at. It is asked first with what is blended, then with all.
+/// [`fewer`](Gathering::fewer) rays saw see with all, and those with [`thin`](Gathering::thin) rays look twice; then cells are
+/// made smoother, seeds look [`again`](Gathering::again), and in the end every receiver is gathered at with all rays. It is asked
+/// first with what is blended, then with all.
 /// The same bits for any number of threads.
 ///
 /// # Errors
@@ -167,10 +169,8 @@ pub fn gather(
     let (mut fault, mut refusals) = (Fault::All, 0);
     let mut steps = STEPS.into_iter();
     loop {
-        let step = match fault {
-            Fault::Refused if work.sight.is_fewer() => Step::Fully,
-            _ => steps.next().unwrap_or(Step::Everywhere),
-        };
+        let step = work.soonest(&field, &fault).or_else(|| steps.next());
+        let step = step.unwrap_or(Step::Everywhere);
         if !work.take(step, &mut field, &fault)? {
             continue;
         }

@@ -11,6 +11,8 @@ use crate::gather::Engine;
 pub(super) enum Step {
     /// Gather at the seeds with all that was held back.
     Fully,
+    /// Gather once more at those who speak for nobody, in as many other directions.
+    AgainAlone,
     /// Cut cells until they are as smooth as this.
     Grow(Strictness),
     /// Gather at all whose values are not true.
@@ -32,7 +34,7 @@ impl Step {
     }
 }
 
-/// In this order, and [`Step::Fully`] where results are refused first; values that were gathered are kept.
+/// In this order, and [`Step::Fully`] and [`Step::AgainAlone`] where results are refused first; values that were gathered are kept.
 pub(super) const STEPS: [Step; 5] = [
     Step::Grow(Strictness::FIRST),
     Step::Grow(Strictness::SECOND),
@@ -101,6 +103,15 @@ impl Work<'_> {
         self.plant()
     }
 
+    /// What is done about a `fault` of `field` before anything else, if there is something.
+    pub(super) fn soonest(&self, field: &Field, fault: &Fault) -> Option<Step> {
+        match fault {
+            Fault::Refused if self.sight.is_fewer() => Some(Step::Fully),
+            Fault::Refused if field.alone.can_look_again() => Some(Step::AgainAlone),
+            _ => None,
+        }
+    }
+
     /// Change `field`, which has this `fault`; false if there is nothing to do.
     pub(super) fn take(
         &mut self,
@@ -114,6 +125,7 @@ impl Work<'_> {
                 self.look_fully(field)?;
                 self.grow(field, Strictness::FIRST, fault)?;
             }
+            Step::AgainAlone => self.look_again_alone(&mut field.alone)?,
             Step::There if *fault == Fault::Refused => return Ok(false),
             Step::There => self.settle(field, fault)?,
             Step::Again => return self.look_again(field),

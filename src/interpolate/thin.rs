@@ -3,7 +3,7 @@
 use super::seeds::Seeds;
 use super::{Work, base};
 use crate::diagnostics::Cancelled;
-use crate::gather::{self, Engine, Hemisphere};
+use crate::gather::{self, Engine, Glance, Hemisphere};
 
 /// Others of a cell who take no more than so many times the rays of one, and no more than this part of all rays each, are seen at
 /// once: three seeds more would tell whether they need to be.
@@ -16,11 +16,18 @@ pub(super) struct Alone {
     receiver: Vec<u32>,
     /// Of the base, side by side.
     values: Vec<f32>,
+    /// How many of them looked twice.
+    looked_twice: usize,
 }
 
 impl Alone {
     pub(super) fn len(&self) -> usize {
         self.receiver.len()
+    }
+
+    /// True if some looked once only.
+    pub(super) fn can_look_again(&self) -> bool {
+        self.looked_twice < self.len()
     }
 
     /// Forget what was seen at these receivers.
@@ -47,7 +54,7 @@ impl Work<'_> {
         let Some(thin) = self.gathering.thin else {
             return self.sow(seeds, which);
         };
-        thin.try_each(which, &mut |engine, which| {
+        thin.try_each((which, Glance::First), &mut |engine, which| {
             let Some(engine) = engine else {
                 return self.sow(seeds, which);
             };
@@ -55,6 +62,36 @@ impl Work<'_> {
             alone.values.extend(self.values(engine, which)?);
             Ok(())
         })
+    }
+
+    /// Let those who looked once do so in other directions too: the mean counts.
+    pub(super) fn look_again_alone(&self, alone: &mut Alone) -> Result<(), Cancelled> {
+        let Some(thin) = self.gathering.thin else {
+            return Ok(());
+        };
+        let (n, first) = (self.components(), alone.looked_twice);
+        let once = &alone.receiver[first..];
+        let mut place_of = vec![0; self.gathering.receivers.len()];
+        for (place, &i) in (first..).zip(once) {
+            place_of[i as usize] = place;
+        }
+        let mut more = Vec::with_capacity(once.len());
+        thin.try_each((once, Glance::Again), &mut |engine, which| {
+            if let Some(engine) = engine {
+                more.push((which.to_vec(), self.values(engine, which)?));
+            }
+            Ok(())
+        })?;
+        for (which, values) in more {
+            for (&i, values) in which.iter().zip(values.chunks_exact(n)) {
+                let before = &mut alone.values[place_of[i as usize] * n..][..n];
+                for (value, more) in before.iter_mut().zip(values) {
+                    *value = 0.5 * (*value + more);
+                }
+            }
+        }
+        alone.looked_twice = alone.len();
+        Ok(())
     }
 
     /// True if it is as well to gather at all of `others`, who are in one cell with a seed, as to cut it.

@@ -165,8 +165,10 @@ impl<'a> Stand<'a> {
     /// Who sees where pixels have many receivers, with part of so many rays, of which errors fall by this `law`.
     pub(super) fn thin_rays(&self, (rays, law): (u32, f64)) -> Option<ThinEngines<'a>> {
         let settings = self.rays_settings(rays);
-        let engine =
-            |class| Box::new(self.rays_with(settings.thinned(class))) as Box<dyn Engine + 'a>;
+        let engine = |class, glance| {
+            let engine = self.rays_with(settings.thinned(class, glance));
+            Box::new(engine) as Box<dyn Engine + 'a>
+        };
         Some(ThinEngines::new(self.thinned(law)?, &engine))
     }
 
