@@ -191,7 +191,8 @@ fn relative_rmse(pairs: impl Iterator<Item = ((f64, f64), (f64, f64))>) -> f64 {
 mod tests {
     use super::*;
     use crate::gather::KnownEngine;
-    use crate::results::{AovBuffer, PixelShare, Target};
+    use crate::gather::testing::pixels_of;
+    use crate::results::AovBuffer;
 
     /// A reference that is right but for this share, and sees nothing.
     fn by(error_share: f64) -> Reference<'static> {
@@ -230,17 +231,7 @@ mod tests {
     /// One receiver of each of two pixels of four.
     #[test]
     fn receivers_of_one_pixel_even_out_what_few_rays_err_by() {
-        let share = |receiver: u32| PixelShare {
-            pixel: receiver / 4,
-            receiver,
-            weight: 0.25,
-        };
-        let target = Target::Image {
-            width: 2,
-            height: 1,
-            shares: (0..8).map(share).collect(),
-        };
-        let thinning = Thinning::of(&target, 8, 0.75);
+        let thinning = Thinning::of(&pixels_of(&[4, 4]), 8, 0.75);
         let results = one(
             Aov::Visibility,
             vec![0.7, 0.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0],

@@ -101,7 +101,7 @@ impl RaysSettings {
         )]
         let rays = (f64::from(self.rays) * class.share()).ceil() as u32;
         Self {
-            rays: rays.max(self.rays.min(FEWEST_THINNED)),
+            rays: rays.max(self.rays.min(LEAST_SHARED)),
             turn: self.turn
                 + class.pattern()
                 + match glance {
@@ -133,9 +133,6 @@ const OTHERWISE: f32 = 0.625;
 /// Turns of the first pattern of [`RaysSettings::thinned`], of other numbers than all others, and of the next look.
 const THINNED: f32 = 0.05;
 const THINNED_AGAIN: f32 = 0.16;
-
-/// Fewer rays than these see no light where it is.
-const FEWEST_THINNED: u32 = 16;
 
 /// Rays between two looks at whether the run was cancelled, a fraction of a second; four times as many where those are of
 /// fewer receivers than gain from looking together.

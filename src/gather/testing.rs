@@ -2,11 +2,27 @@
 
 use super::ray_query::RayQuery;
 use crate::receivers::Receivers;
-use crate::results::Target;
+use crate::results::{PixelShare, Target};
 use crate::scene::PrimId;
 use crate::shading::SurfacePoint;
 use crate::trace::Hit;
 use glam::{DVec3, Vec3};
+
+/// A column of pixels that so many receivers each share alike, one after the other.
+pub(crate) fn pixels_of(counts: &[u16]) -> Target {
+    let of_pixel = |(pixel, &count): (u32, &u16)| (0..count).map(move |_| (pixel, count));
+    let all = (0..).zip(counts).flat_map(of_pixel);
+    let share = |(receiver, (pixel, count)): (u32, (u32, u16))| PixelShare {
+        pixel,
+        receiver,
+        weight: 1.0 / f32::from(count),
+    };
+    Target::Image {
+        width: 1,
+        height: u32::try_from(counts.len()).expect("few pixels"),
+        shares: (0..).zip(all).map(share).collect(),
+    }
+}
 
 /// Receivers at (position, normal), in the middle of flat triangles.
 pub(crate) fn receivers_at(points: &[(Vec3, Vec3)]) -> Receivers {

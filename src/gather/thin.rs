@@ -198,34 +198,13 @@ impl<'a> ThinEngines<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Pixels of so many equal receivers each.
-    fn pixels(counts: &[u16]) -> (Target, usize) {
-        let mut shares = Vec::new();
-        for (pixel, &count) in (0..).zip(counts) {
-            for _ in 0..count {
-                let receiver = u32::try_from(shares.len()).unwrap();
-                shares.push(PixelShare {
-                    pixel,
-                    receiver,
-                    weight: 1.0 / f32::from(count),
-                });
-            }
-        }
-        let count = shares.len();
-        let target = Target::Image {
-            width: 1,
-            height: u32::try_from(counts.len()).unwrap(),
-            shares,
-        };
-        (target, count)
-    }
+    use crate::gather::testing::pixels_of;
 
     #[test]
     fn a_pixel_errs_by_what_one_receiver_with_all_rays_does() {
         let cases = [0.5, 0.75, 1.0].map(|law| [2_u16, 3, 7, 16].map(|count| (count, law)));
         for (count, law) in cases.into_iter().flatten() {
-            let (target, receivers) = pixels(&[count]);
+            let (target, receivers) = (pixels_of(&[count]), usize::from(count));
             let Some(thinning) = Thinning::of(&target, receivers, law) else {
                 assert!(count == 2 && law == 1.0, "{count} {law}: it is worth it");
                 continue;
@@ -252,10 +231,9 @@ mod tests {
 
     #[test]
     fn lone_receivers_see_with_all_rays_and_large_parts_with_more_than_small_ones() {
-        let (target, count) = pixels(&[1; 50]);
-        assert!(Thinning::of(&target, count, 0.75).is_none());
+        assert!(Thinning::of(&pixels_of(&[1; 50]), 50, 0.75).is_none());
         assert!(Thinning::of(&Target::Surfels, 50, 0.75).is_none());
-        let (mut target, count) = pixels(&[1, 4, 4]);
+        let (mut target, count) = (pixels_of(&[1, 4, 4]), 9);
         if let Target::Image { shares, .. } = &mut target {
             shares[1].weight = 0.7;
             (2..5).for_each(|i| shares[i].weight = 0.1);

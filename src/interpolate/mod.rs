@@ -255,10 +255,15 @@ impl Work<'_> {
         self.settings.tolerance * self.sight.errors
     }
 
+    /// The receivers `which`.
+    fn few(&self, which: &[u32]) -> Receivers {
+        let picked: Vec<usize> = which.iter().map(|&i| i as usize).collect();
+        self.gathering.receivers.subset(&picked)
+    }
+
     /// What `engine` sees at the receivers `which`: [`Seeds::floats`] each.
     fn read(&self, engine: &dyn Engine, which: &[u32]) -> Result<Vec<f32>, Cancelled> {
-        let receivers = self.gathering.receivers;
-        let few = receivers.subset(&which.iter().map(|&i| i as usize).collect::<Vec<_>>());
+        let few = self.few(which);
         let n = self.components();
         let reading = |i: usize, hemisphere: &Hemisphere, out: &mut [f32]| {
             let (values, rest) = out.split_at_mut(n);

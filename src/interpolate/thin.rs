@@ -37,10 +37,15 @@ impl Alone {
 
     /// Put what was seen to the values of all receivers.
     pub(super) fn tell(&self, all: &mut [f32]) {
-        let n = self.values.len() / self.len().max(1);
-        for (&i, value) in self.receiver.iter().zip(self.values.chunks_exact(n.max(1))) {
-            all[i as usize * n..][..n].copy_from_slice(value);
-        }
+        put(all, &self.receiver, &self.values);
+    }
+}
+
+/// Put the values of the receivers `which`, side by side, to their places among those of all.
+fn put(all: &mut [f32], which: &[u32], values: &[f32]) {
+    let n = values.len() / which.len().max(1);
+    for (&i, value) in which.iter().zip(values.chunks_exact(n.max(1))) {
+        all[i as usize * n..][..n].copy_from_slice(value);
     }
 }
 
@@ -71,23 +76,19 @@ impl Work<'_> {
         };
         let (n, first) = (self.components(), alone.looked_twice);
         let once = &alone.receiver[first..];
-        let mut place_of = vec![0; self.gathering.receivers.len()];
-        for (place, &i) in (first..).zip(once) {
-            place_of[i as usize] = place;
-        }
-        let mut more = Vec::with_capacity(once.len());
+        let mut again = vec![0.0; n * self.gathering.receivers.len()];
         thin.try_each((once, Glance::Again), &mut |engine, which| {
             if let Some(engine) = engine {
-                more.push((which.to_vec(), self.values(engine, which)?));
+                put(&mut again, which, &self.values(engine, which)?);
             }
             Ok(())
         })?;
-        for (which, values) in more {
-            for (&i, values) in which.iter().zip(values.chunks_exact(n)) {
-                let before = &mut alone.values[place_of[i as usize] * n..][..n];
-                for (value, more) in before.iter_mut().zip(values) {
-                    *value = 0.5 * (*value + more);
-                }
+        for (&i, values) in once
+            .iter()
+            .zip(alone.values[first * n..].chunks_exact_mut(n))
+        {
+            for (value, more) in values.iter_mut().zip(&again[i as usize * n..]) {
+                *value = 0.5 * (*value + more);
             }
         }
         alone.looked_twice = alone.len();
@@ -107,8 +108,7 @@ impl Work<'_> {
 
     /// What `engine` sees at the receivers `which`, of the base.
     fn values(&self, engine: &dyn Engine, which: &[u32]) -> Result<Vec<f32>, Cancelled> {
-        let receivers = self.gathering.receivers;
-        let few = receivers.subset(&which.iter().map(|&i| i as usize).collect::<Vec<_>>());
+        let few = self.few(which);
         let reading = |i: usize, hemisphere: &Hemisphere, out: &mut [f32]| {
             base::read(self.base, (&few, i), hemisphere, out);
         };

@@ -94,7 +94,7 @@ pub(super) fn subset(results: &Results, picks: &[usize]) -> Results {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::results::{PixelShare, Target};
+    use crate::gather::testing::pixels_of;
 
     fn one(aov: Aov, data: &[f32]) -> Results {
         Results {
@@ -142,17 +142,7 @@ mod tests {
     /// Four receivers in one pixel, and one in another; picked: the one, and one of four.
     #[test]
     fn receivers_of_one_pixel_even_out_what_few_rays_err_by() {
-        let share = |receiver: u32| PixelShare {
-            pixel: receiver.min(1),
-            receiver,
-            weight: if receiver == 0 { 1.0 } else { 0.25 },
-        };
-        let target = Target::Image {
-            width: 2,
-            height: 1,
-            shares: (0..5).map(share).collect(),
-        };
-        let thinning = Thinning::of(&target, 5, 0.75);
+        let thinning = Thinning::of(&pixels_of(&[1, 4]), 5, 0.75);
         let check = Check {
             sample: Sample {
                 picks: vec![0, 3],

@@ -124,7 +124,8 @@ fn light(seen: &Results, count: usize) -> Vec<f64> {
 mod tests {
     use super::super::error::Weighted;
     use super::*;
-    use crate::results::{AovBuffer, PixelShare, Target};
+    use crate::gather::testing::pixels_of;
+    use crate::results::AovBuffer;
 
     /// A few receivers ten times as bright as the others, and errors of a tenth of the light.
     fn lit(count: usize) -> (Vec<f64>, f64) {
@@ -193,22 +194,10 @@ mod tests {
     /// Every other pixel shows 1 receiver, the others 4 that are dark.
     #[test]
     fn receivers_are_picked_by_their_parts_of_pixels() {
-        let of = |i: u32| match i % 5 {
-            0 => (2 * (i / 5), 1.0, 1.0),
-            _ => (2 * (i / 5) + 1, 0.25, 0.2),
-        };
-        let share = |receiver| PixelShare {
-            pixel: of(receiver).0,
-            receiver,
-            weight: of(receiver).1,
-        };
-        let target = Target::Image {
-            width: 800,
-            height: 1,
-            shares: (0..2_000).map(share).collect(),
-        };
-        let thinning = Thinning::of(&target, 2_000, 0.75);
-        let light: Vec<f64> = (0..2_000).map(|i| of(i).2).collect();
+        let thinning = Thinning::of(&pixels_of(&[1, 4].repeat(400)), 2_000, 0.75);
+        let light: Vec<f64> = (0..2_000)
+            .map(|i| if i % 5 == 0 { 1.0 } else { 0.2 })
+            .collect();
         let looked: Vec<usize> = (0..light.len()).collect();
         for sample in [
             Sample::even(light.len(), 256, thinning.as_ref()),
