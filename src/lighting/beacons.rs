@@ -12,6 +12,9 @@ pub(super) struct Beacon {
     pub(super) strength: f32,
 }
 
+/// Lights that are weighed at a time.
+const ROW: usize = 64;
+
 /// Those of all lights, one column a quantity: places weigh all lights. Lights infinitely far have none.
 #[derive(Debug, Default)]
 pub(super) struct Beacons {
@@ -47,6 +50,19 @@ impl Beacons {
         beacons
     }
 
+    /// Calls `look` with the index and [`Self::at`] of each light, a row of them weighed at a time.
+    #[inline(always)]
+    pub(super) fn for_each(&self, point: &ShadePoint, mut look: impl FnMut(usize, f32)) {
+        let mut weights = [0.0; ROW];
+        for first in (0..self.radius.len()).step_by(ROW) {
+            let count = (self.radius.len() - first).min(ROW);
+            self.weigh(point, first, &mut weights[..count]);
+            (first..)
+                .zip(&weights[..count])
+                .for_each(|(index, &weight)| look(index, weight));
+        }
+    }
+
     /// Indices of the lights that are infinitely far, ascending.
     pub(super) fn far(&self) -> &[usize] {
         &self.far
@@ -59,12 +75,12 @@ impl Beacons {
         weight(point, center, (self.radius[index], self.strength[index]))
     }
 
-    /// [`Self::at`] of the first of the lights, as many as `weights`.
-    pub(super) fn weigh(&self, point: &ShadePoint, weights: &mut [f32]) {
-        let count = weights.len();
-        let [x, y, z] = self.center.each_ref().map(|column| &column[..count]);
-        let (radius, strength) = (&self.radius[..count], &self.strength[..count]);
-        for k in 0..count {
+    /// [`Self::at`] of as many lights as `weights`, from `first` on.
+    pub(super) fn weigh(&self, point: &ShadePoint, first: usize, weights: &mut [f32]) {
+        let row = first..first + weights.len();
+        let [x, y, z] = (self.center.each_ref()).map(|column| &column[row.clone()]);
+        let (radius, strength) = (&self.radius[row.clone()], &self.strength[row]);
+        for k in 0..weights.len() {
             weights[k] = weight(point, Vec3::new(x[k], y[k], z[k]), (radius[k], strength[k]));
         }
     }
@@ -80,12 +96,4 @@ fn weight(point: &ShadePoint, center: Vec3, (radius, strength): (f32, f32)) -> f
     let share = (cosine.max(0.0) + edge).min(1.0);
     let weight = strength * share / (squared + radius * radius);
     if cosine + edge > 0.0 { weight } else { 0.0 }
-}
-
-/// True if a ray from `origin` along the unit `direction` misses the ball.
-pub(super) fn is_beside(ball: &Beacon, origin: Vec3, direction: Vec3) -> bool {
-    let way = ball.center - origin;
-    let across = way - way.dot(direction) * direction;
-    // The ball is wider than the light; rounding grows with the way.
-    across.length_squared() > ball.radius * ball.radius + 1e-6 * way.length_squared()
 }

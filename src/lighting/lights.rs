@@ -1,7 +1,7 @@
 //! UsdLux lights other than domes, prepared for shading: irradiance = unshadowed irradiance × visible fraction.
 
 use super::ShadePoint;
-use super::beacons::{Beacon, is_beside};
+use super::beacons::Beacon;
 use super::pattern;
 use super::pictures::Picture;
 use super::shape::{Ellipsoid, LightSample, Shape};
@@ -161,11 +161,14 @@ impl AreaLight {
         self.beacon
     }
 
+    /// Distance to this light along the unit `direction`; `None` where it is not met.
+    pub(super) fn distance(&self, origin: Vec3, direction: Vec3) -> Option<f32> {
+        let meeting = self.shape.meet(origin, direction)?;
+        Some(meeting.distance)
+    }
+
     /// Distance to this light along the unit `direction` and radiance from there; `None` where it is not met.
     pub(super) fn seen(&self, origin: Vec3, direction: Vec3) -> Option<(f32, Vec3)> {
-        if (self.beacon).is_some_and(|ball| is_beside(&ball, origin, direction)) {
-            return None;
-        }
         let meeting = self.shape.meet(origin, direction)?;
         let sample = LightSample {
             to_light: direction,

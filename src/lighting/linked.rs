@@ -4,17 +4,20 @@ use super::beacons::Beacons;
 use super::lights::{AreaLight, Patterns};
 use super::stand::Stand;
 use crate::diagnostics::Diagnostics;
-use crate::math::sequence;
+use crate::math::{Bounds3, sequence};
 use crate::scene::{Light, Linked, Scene};
-use crate::trace::{Opacity, Tracer};
+use crate::trace::{Bodies, Opacity, Tracer};
 use glam::Vec3;
 use std::sync::Arc;
 
 /// All lights of a scene but domes and emissive surfaces.
 #[derive(Debug)]
 pub(super) struct LinkedLights {
+    /// Row after row, see [`rows_of`].
     lights: Vec<LinkedLight>,
     beacons: Beacons,
+    /// Those with an extent, by their places in `lights`.
+    bodies: Bodies,
     /// For lights that only some prims block, one for each such set.
     tracers: Vec<Tracer>,
 }
@@ -72,8 +75,14 @@ impl LinkedLights {
                 blockers,
             });
         }
+        // Neighbors are dealt to different rows, so that each row lights a place about as all do.
+        let rows = rows_of(lights.len());
+        let mut dealt: Vec<_> = lights.into_iter().enumerate().collect();
+        dealt.sort_by_key(|(index, _)| index % rows);
+        let lights: Vec<_> = dealt.into_iter().map(|(_, linked)| linked).collect();
         Self {
             beacons: Beacons::new(lights.iter().map(|linked| linked.light.beacon())),
+            bodies: bodies_of(&lights),
             lights,
             tracers,
         }
@@ -83,8 +92,18 @@ impl LinkedLights {
         self.lights.len()
     }
 
-    pub(super) fn all(&self) -> impl Iterator<Item = &AreaLight> {
-        self.lights.iter().map(|linked| &linked.light)
+    /// Distance and radiance of the nearest along the unit `direction`, closer than `max_distance`; of several at one distance the
+    /// same one always.
+    pub(super) fn seen(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        max_distance: f32,
+    ) -> Option<(f32, Vec3)> {
+        let light = |index: u32| &self.lights[index as usize].light;
+        let distance = |index| light(index).distance(origin, direction);
+        let (_, first) = (self.bodies).first((origin, direction), max_distance, distance)?;
+        light(first).seen(origin, direction)
     }
 
     /// What `of` says of the lights that light the receiver at `stand`, each with its own blockers, summed.
@@ -111,37 +130,30 @@ impl LinkedLights {
         if count <= FEW {
             return self.sum(stand, of);
         }
-        let weighed = count.min(MOST_WEIGHED);
-        let start = fraction(sequence::hash(number));
+        let rows = rows_of(count);
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
             clippy::cast_precision_loss,
-            reason = "rounded down on purpose, from 0 to below count"
+            reason = "rounded down on purpose, from 0 to below the count of rows"
         )]
-        let light = |k: usize| {
-            let place = (k as f32 + start) * (count as f32 / weighed as f32);
-            (place as usize).min(count - 1)
+        let (times, row) = {
+            let rows = rows as f32;
+            (rows, (fraction(sequence::hash(number)) * rows) as usize)
         };
+        let row = first_of_row(count, row)..first_of_row(count, row + 1);
         let mut weights = [0.0_f32; MOST_WEIGHED];
-        let weights = &mut weights[..weighed];
-        if weighed == count {
-            self.beacons.weigh(stand.point, weights);
-        } else {
-            let each = weights.iter_mut().enumerate();
-            each.for_each(|(k, weight)| *weight = self.beacons.at(light(k), stand.point));
-        }
-        if !self.beacons.far().is_empty() {
-            let far = (0..weighed).filter(|&k| self.beacons.far().binary_search(&light(k)).is_ok());
-            far.for_each(|k| weights[k] = self.far_weight(light(k), patterns, stand));
-        }
+        let weights = &mut weights[..row.len()];
+        self.beacons.weigh(stand.point, row.start, weights);
+        let far = (self.beacons.far().iter()).filter(|far| row.contains(far));
+        far.for_each(|&far| weights[far - row.start] = self.far_weight(far, patterns, stand));
         let chosen = Chosen {
             weights,
-            light: &light,
+            first: row.start,
             part: &|_| 1.0,
             looks: 1.0,
         };
-        self.looked_at(&chosen, stand, number, of) * (count as f32 / weighed as f32)
+        self.looked_at(&chosen, stand, number, of) * times
     }
 
     /// Weight of a light that is infinitely far, as those of [`Beacons::at`].
@@ -168,7 +180,7 @@ impl LinkedLights {
                 looks += 1.0;
                 next += step;
             }
-            let linked = &self.lights[(chosen.light)(k)];
+            let linked = &self.lights[chosen.first + k];
             if looks > 0.0 && linked.lights(stand) {
                 let times = looks * step * (chosen.part)(k) / weight;
                 sum += self.ask(linked, stand, of) * times;
@@ -187,21 +199,18 @@ impl LinkedLights {
         if self.lights.len() <= FEW_OF_SURFELS {
             return self.sum(stand, of);
         }
-        let beacon = |index: usize| self.beacons.at(index, stand.point);
-        let all: f32 = (0..self.lights.len()).map(beacon).sum();
+        let mut all = 0.0;
+        (self.beacons).for_each(stand.point, |_, weight| all += weight);
         let mut far = self.beacons.far().iter().peekable();
         let mut sum = Vec3::ZERO;
-        for (index, linked) in self.lights.iter().enumerate() {
+        self.beacons.for_each(stand.point, |index, weight| {
             let is_far = far.next_if(|&&far| far == index).is_some();
-            let part = if is_far {
-                1.0
-            } else {
-                major_part(beacon(index), all)
-            };
+            let part = if is_far { 1.0 } else { major_part(weight, all) };
+            let linked = &self.lights[index];
             if part > 0.0 && linked.lights(stand) {
                 sum += part * self.ask(linked, stand, &of);
             }
-        }
+        });
         sum
     }
 
@@ -218,7 +227,7 @@ impl LinkedLights {
         }
         let mut weights = vec![0.0; self.lights.len()];
         for ((number, light), stand) in (0..).zip(light).zip(stands) {
-            self.beacons.weigh(stand.point, &mut weights);
+            self.beacons.weigh(stand.point, 0, &mut weights);
             let all: f32 = weights.iter().sum();
             let minor = |weight: f32| 1.0 - major_part(weight, all);
             weights
@@ -226,7 +235,7 @@ impl LinkedLights {
                 .for_each(|weight| *weight *= minor(*weight));
             let chosen = Chosen {
                 weights: &weights,
-                light: &|k| k,
+                first: 0,
                 part: &|k| minor(self.beacons.at(k, stand.point)),
                 looks: LOOKS,
             };
@@ -253,11 +262,22 @@ impl LinkedLights {
     }
 }
 
+/// Rows of about as many lights, [`MOST_WEIGHED`] at most, into which `count` lights are dealt.
+fn rows_of(count: usize) -> usize {
+    count.div_ceil(MOST_WEIGHED).max(1)
+}
+
+/// Index of the first of `count` lights that lies in `row`: the first rows have one more, if they are not equal.
+fn first_of_row(count: usize, row: usize) -> usize {
+    let rows = rows_of(count);
+    row * (count / rows) + row.min(count % rows)
+}
+
 /// Lights of which a few are looked at.
 struct Chosen<'a> {
     weights: &'a [f32],
-    /// Index of the light that has weight `k`.
-    light: &'a dyn Fn(usize) -> usize,
+    /// Index of the light that has the first weight; the others follow it.
+    first: usize,
     /// How much of it counts, 0…1; weights have it already.
     part: &'a dyn Fn(usize) -> f32,
     looks: f32,
@@ -267,6 +287,17 @@ struct Chosen<'a> {
 fn major_part(weight: f32, all: f32) -> f32 {
     let (none, whole) = LITTLE;
     ((weight - none * all) / ((whole - none) * all).max(f32::MIN_POSITIVE)).clamp(0.0, 1.0)
+}
+
+/// Those that a ray can meet.
+fn bodies_of(lights: &[LinkedLight]) -> Bodies {
+    let with_ball = |(index, linked): (u32, &LinkedLight)| {
+        let ball = linked.light.beacon()?;
+        let around = Bounds3::around([ball.center - ball.radius, ball.center + ball.radius]);
+        (ball.radius > 0.0).then_some((index, around))
+    };
+    let boxes: Vec<_> = (0..).zip(lights).filter_map(with_ball).collect();
+    Bodies::new(&boxes)
 }
 
 impl LinkedLight {

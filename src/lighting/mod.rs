@@ -356,10 +356,7 @@ impl Lighting {
     /// Distance and radiance of the nearest light whose shape lies along the unit `direction` closer than `max_distance`.
     /// Lights are no geometry: this is how a camera sees them.
     pub fn seen(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> Option<(f32, Vec3)> {
-        (self.lights.all())
-            .filter_map(|light| light.seen(origin, direction))
-            .filter(|(distance, _)| *distance < max_distance)
-            .min_by(|a, b| a.0.total_cmp(&b.0))
+        self.lights.seen(origin, direction, max_distance)
     }
 
     /// True if nothing shines at all: no lights, no environment, no emissive surface.

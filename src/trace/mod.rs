@@ -7,6 +7,7 @@
 //! taken. No operation is fused or reordered, so that the results are the same bits on all of them.
 
 mod beam;
+mod bodies;
 mod packet;
 mod ray;
 mod screens;
@@ -16,6 +17,7 @@ mod wide;
 use crate::math::Bounds3;
 use crate::scene::{Mesh, PlacedMesh, Prim, PrimId, Scene};
 pub use beam::{Beam, TOGETHER, Way};
+pub use bodies::Bodies;
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Affine3A, Vec3};
 use ray::Ray;

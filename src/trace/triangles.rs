@@ -22,7 +22,7 @@ pub(super) use packet::PacketHits;
 use std::ops::Deref;
 
 /// Boxes grow by this part of the largest coordinate, more than the roundings of their distances.
-const BOX_MARGIN: f32 = 8.0 * f32::EPSILON;
+pub(super) const BOX_MARGIN: f32 = 8.0 * f32::EPSILON;
 
 /// Leaves that are tested against all rays of a beam; where they are not enough, each ray looks for itself.
 const MOST_LEAVES: usize = 12;

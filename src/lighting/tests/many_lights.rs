@@ -113,38 +113,82 @@ fn surfels_look_at_strong_lights_and_at_some_of_the_weak_ones_which_are_true_in_
 }
 
 #[test]
-fn lights_weighed_in_rows_weigh_what_each_does_and_rays_beside_their_balls_meet_nothing() {
+fn lights_weighed_in_rows_weigh_what_each_does() {
     let mut scene = scene(Vec::new(), &[]);
-    scene.lights = lamps(37);
+    scene.lights = lamps(137);
     let diagnostics = Diagnostics::default();
     let lights: Vec<AreaLight> = (scene.lights.iter())
         .filter_map(|light| AreaLight::new(light, &diagnostics))
         .collect();
     let beacons = Beacons::new(lights.iter().map(AreaLight::beacon));
     let point = up_at(Vec3::new(0.3, 1.9, -0.2));
-    let mut weights = [0.0; 37];
-    beacons.weigh(&point, &mut weights);
+    let mut weights = [0.0; 137];
+    beacons.weigh(&point, 0, &mut weights);
+    let mut by_rows = Vec::new();
+    beacons.for_each(&point, |index, weight| by_rows.push((index, weight)));
+    assert!(by_rows.into_iter().eq(weights.into_iter().enumerate()));
     let mut all = Vec2::ZERO;
     for (index, weight) in weights.into_iter().enumerate() {
         assert_eq!(weight, beacons.at(index, &point));
         let light = &lights[index];
         let patterns = Patterns::new(16);
         let open = light.open(&patterns, &point).element_sum();
-        // Toward its middle, its rim, and past it.
-        let ball = light.beacon().expect("near");
-        let way = (ball.center - point.position).normalize();
         assert!(weight >= 0.2 * open, "{weight} {open}");
         all += Vec2::new(weight, open);
-        let side = way.any_orthonormal_vector();
-        for (off, is_met) in [(0.0, true), (0.048, true), (0.052, false), (0.3, false)] {
-            let direction = (ball.center + off * side - point.position).normalize();
-            assert_eq!(
-                light.seen(point.position, direction).is_some(),
-                is_met,
-                "{off}"
-            );
-        }
     }
     // A ball shows a quarter of its area, and low ones are taken for higher than they are.
     assert!(all.y > 0.0 && all.x < 8.0 * all.y, "{all}");
+}
+
+#[test]
+fn the_light_that_a_ray_meets_first_is_the_nearest_of_all_asked_one_by_one() {
+    let mut random = Random(23);
+    let mut direction = || Vec3::from_array([0; 3].map(|_| random.next() - 0.5)).normalize();
+    let kinds = [
+        LightKind::Rect {
+            width: 0.4,
+            height: 0.3,
+            texture: None,
+        },
+        LightKind::Disk { radius: 0.3 },
+        LightKind::Cylinder {
+            radius: 0.1,
+            length: 0.5,
+        },
+        LightKind::Distant { angle: 0.02 },
+    ];
+    let mut scene = scene(Vec::new(), &[]);
+    scene.lights = lamps(200);
+    for (lamp, kind) in scene.lights.iter_mut().zip(kinds.iter().cycle()).skip(3) {
+        let turn = Quat::from_rotation_arc(Vec3::Z, direction());
+        lamp.world_from_light *= Affine3A::from_quat(turn);
+        lamp.kind = kind.clone();
+    }
+    // Two at one place: the first counts.
+    let mut twin = scene.lights[0].clone();
+    twin.radiance *= 2.0;
+    scene.lights.push(twin);
+    let diagnostics = Diagnostics::default();
+    let lights: Vec<AreaLight> = (scene.lights.iter())
+        .filter_map(|light| AreaLight::new(light, &diagnostics))
+        .collect();
+    let shader = Shader::new(&scene, &diagnostics);
+    let lighting = Lighting::new(&shader, ONE_LIGHT, &diagnostics);
+    let center = |light: &Light| Vec3::from(light.world_from_light.translation);
+    let (mut met, mut nearer) = (0, 0);
+    for i in 0..4000 {
+        let origin = 5.0 * direction() + Vec3::Y;
+        let toward = center(&scene.lights[i % scene.lights.len()]) + 0.1 * direction() - origin;
+        let (way, far) = (toward.normalize(), toward.length());
+        for max_distance in [f32::INFINITY, far] {
+            let one_by_one = (lights.iter())
+                .filter_map(|light| light.seen(origin, way))
+                .filter(|(distance, _)| *distance < max_distance)
+                .min_by(|a, b| a.0.total_cmp(&b.0));
+            assert_eq!(lighting.seen(origin, way, max_distance), one_by_one);
+            met += u32::from(one_by_one.is_some());
+            nearer += u32::from(one_by_one.is_some_and(|(distance, _)| distance < far - 1.0));
+        }
+    }
+    assert!(met > 2000 && nearer > 100, "{met} {nearer}");
 }
