@@ -442,9 +442,11 @@ impl<'a> Work<'a> {
             .collect();
         let reach = engine.max_distance();
         let sky = (self.environment).look(self.scene.tracer, &points, reach);
+        let direct = self.direct(&points);
         let mut visit = |i: usize, hemisphere: &Hemisphere| {
             let light = (self.environment).light(&sky, i - start, hemisphere);
-            let seen = self.seen(receivers, (i, &points[i - start]), light, hemisphere);
+            let direct = direct.get(i - start).copied().unwrap_or_default();
+            let seen = self.seen(receivers, i, (direct, light), hemisphere);
             for (aov, values) in &mut block.values {
                 let place = (i - start) * aov.components();
                 quantities::write(*aov, &seen, &mut values[place..place + aov.components()]);
@@ -467,8 +469,8 @@ impl<'a> Work<'a> {
     fn seen<'s>(
         &self,
         receivers: &'s Receivers,
-        (i, point): (usize, &ShadePoint),
-        light: SkyLight,
+        i: usize,
+        (direct, light): (Vec3, SkyLight),
         hemisphere: &'s Hemisphere,
     ) -> Seen<'s> {
         let seen = Seen {
@@ -476,7 +478,7 @@ impl<'a> Work<'a> {
             index: i,
             hemisphere,
             surface: self.surface(receivers, i),
-            direct: self.direct(point),
+            direct,
             environment: light.irradiance,
             illumination: light.direction,
             indirect: if self.indirect {
@@ -500,15 +502,17 @@ impl<'a> Work<'a> {
         }
     }
 
-    fn direct(&self, point: &ShadePoint) -> Vec3 {
+    /// Irradiance from lights and emissive surfaces at each of `points`; none where nobody asks.
+    fn direct(&self, points: &[ShadePoint]) -> Vec<Vec3> {
         let Some(lighting) = self.direct else {
-            return Vec3::ZERO;
+            return Vec::new();
         };
-        let lights = lighting.lights(self.scene.tracer, point);
+        let mut light = lighting.lights_at(self.scene.tracer, points);
         if lighting.has_emitters() {
-            lights + lighting.emitters(self.scene.shader, self.scene.tracer, point)
-        } else {
-            lights
+            for (light, point) in light.iter_mut().zip(points) {
+                *light += lighting.emitters(self.scene.shader, self.scene.tracer, point);
+            }
         }
+        light
     }
 }

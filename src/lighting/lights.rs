@@ -4,7 +4,7 @@ use super::ShadePoint;
 use super::beacons::Beacon;
 use super::pattern;
 use super::pictures::Picture;
-use super::shape::{Ellipsoid, LightSample, Shape};
+use super::shape::{Ellipsoid, LightSample, Shape, is_far};
 use super::shaping::WorldShaping;
 use super::stand::Stand;
 use crate::diagnostics::Diagnostics;
@@ -14,6 +14,9 @@ use glam::{Affine3A, Vec2, Vec3};
 
 /// Samples along each side of a light whose unshadowed irradiance has no closed form; they cost no rays.
 const UNSHADOWED_SIDE: u16 = 16;
+
+/// Shadow rays to a light with an extent that is looked at on its own, at least.
+const FEWEST: usize = 4;
 
 /// A light in world space.
 #[derive(Debug)]
@@ -31,26 +34,54 @@ pub(super) struct AreaLight {
 /// Patterns shared by all lights.
 #[derive(Debug)]
 pub(super) struct Patterns {
-    shadow: Vec<Vec2>,
-    unshadowed: Vec<Vec2>,
-    /// Side of the part of a light that a shadow sample stands for, 1 = the whole light.
-    shadow_width: f32,
-    /// The same of an unshadowed sample.
-    unshadowed_width: f32,
+    /// Of 1, 4, 16, … shadow rays.
+    shadow: Vec<Pattern>,
+    unshadowed: Pattern,
+}
+
+/// Places on a light.
+#[derive(Debug)]
+pub(super) struct Pattern {
+    squares: Vec<Vec2>,
+    /// Side of the part of a light that a place stands for, 1 = the whole light.
+    width: f32,
+}
+
+impl Pattern {
+    fn new(squares: Vec<Vec2>) -> Self {
+        #[expect(clippy::cast_precision_loss, reason = "a few hundred samples")]
+        let width = 1.0 / (squares.len() as f32).sqrt();
+        Self { squares, width }
+    }
 }
 
 impl Patterns {
     /// `per_light` shadow rays, rounded up to a power of four.
     pub(super) fn new(per_light: u32) -> Self {
-        let (shadow, unshadowed) = (pattern::square(per_light), pattern::grid(UNSHADOWED_SIDE));
-        #[expect(clippy::cast_precision_loss, reason = "a few hundred samples")]
-        let width = |squares: &[Vec2]| 1.0 / (squares.len() as f32).sqrt();
+        let finest = pattern::square(per_light);
+        let coarser = (0..finest.len().ilog(4)).map(|power| pattern::square(1 << (2 * power)));
         Self {
-            shadow_width: width(&shadow),
-            unshadowed_width: width(&unshadowed),
-            shadow,
-            unshadowed,
+            shadow: (coarser.chain([finest])).map(Pattern::new).collect(),
+            unshadowed: Pattern::new(pattern::grid(UNSHADOWED_SIDE)),
         }
+    }
+
+    /// Of all shadow rays.
+    pub(super) fn finest(&self) -> &Pattern {
+        &self.shadow[self.shadow.len() - 1]
+    }
+
+    /// Shadow rays, so many to a light that is all there is.
+    pub(super) fn rays(&self) -> usize {
+        self.finest().squares.len()
+    }
+
+    /// As many of the shadow rays, or more, as go to a light that gives the `share`, 0…1, of what there is; four at least.
+    #[expect(clippy::cast_precision_loss, reason = "a few hundred samples")]
+    pub(super) fn of_share(&self, share: f64) -> &Pattern {
+        let least = (self.rays() as f64 * share).max(FEWEST as f64);
+        let enough = |pattern: &&Pattern| pattern.squares.len() as f64 >= least;
+        self.shadow.iter().find(enough).unwrap_or(self.finest())
     }
 }
 
@@ -110,10 +141,40 @@ impl AreaLight {
         if unshadowed == Vec3::ZERO {
             return Vec3::ZERO;
         }
+        unshadowed * self.visible_part(patterns.finest(), stand)
+    }
+
+    /// Share of the irradiance that arrives, a channel each.
+    pub(super) fn visible_part(&self, pattern: &Pattern, stand: &Stand<'_>) -> Vec3 {
         if self.is_sharp() {
-            return unshadowed * self.visible_at(stand, Vec2::ZERO);
+            Vec3::splat(self.visible_at(stand, Vec2::ZERO))
+        } else {
+            self.visible_fraction(pattern, stand)
         }
-        unshadowed * self.visible_fraction(patterns, stand)
+    }
+
+    /// The way to the place on it that is numbered `turn`, or to the next from where it shines; `None` where there is none or the
+    /// receiver's own surface hides it.
+    pub(super) fn way(&self, pattern: &Pattern, stand: &Stand<'_>, turn: usize) -> Option<Way> {
+        let square = self.shining(pattern, stand.point, turn)?;
+        let sample = self.shape.sample(stand.point, square)?;
+        stand.way(sample.position, sample.to_light)
+    }
+
+    /// The place numbered `turn`, or the next from where the light shines.
+    fn shining(&self, pattern: &Pattern, point: &ShadePoint, turn: usize) -> Option<Vec2> {
+        let squares = &pattern.squares;
+        (0..squares.len())
+            .map(|step| squares[(turn + step) % squares.len()])
+            .find(|&square| {
+                let sample = self.shape.sample(point, square);
+                sample.is_some_and(|sample| self.factor(&sample, pattern.width) != Vec3::ZERO)
+            })
+    }
+
+    /// False if nothing stands in its way.
+    pub(super) fn casts_shadows(&self) -> bool {
+        self.casts_shadows
     }
 
     /// Irradiance if all of the light were as visible as one place on it, the one numbered `turn`.
@@ -122,12 +183,8 @@ impl AreaLight {
         if unshadowed == Vec3::ZERO {
             return Vec3::ZERO;
         }
-        let squares = &patterns.shadow;
-        let visible = (0..squares.len())
-            .map(|step| squares[(turn + step) % squares.len()])
-            .find(|&square| self.shines_from(patterns, stand.point, square))
-            .map_or(0.0, |square| self.visible_at(stand, square));
-        unshadowed * visible
+        let square = self.shining(patterns.finest(), stand.point, turn);
+        unshadowed * square.map_or(0.0, |square| self.visible_at(stand, square))
     }
 
     /// What a lobe reflects if all of the light were like one place on it, the one numbered `turn`: `brdf` (1/sr) tells how much
@@ -139,11 +196,12 @@ impl AreaLight {
         turn: usize,
         brdf: &dyn Fn(Vec3) -> Vec3,
     ) -> Vec3 {
-        let square = patterns.shadow[turn % patterns.shadow.len()];
+        let Pattern { squares, width } = patterns.finest();
+        let square = squares[turn % squares.len()];
         let Some(sample) = self.shape.sample(stand.point, square) else {
             return Vec3::ZERO;
         };
-        let irradiance = self.radiance * self.factor(&sample, patterns.shadow_width);
+        let irradiance = self.radiance * self.factor(&sample, *width);
         let reflected = brdf(sample.to_light) * irradiance * sample.weight;
         if reflected == Vec3::ZERO {
             return Vec3::ZERO;
@@ -184,20 +242,27 @@ impl AreaLight {
         matches!(self.shape, Shape::Point { .. } | Shape::Parallel { .. })
     }
 
-    fn shines_from(&self, patterns: &Patterns, point: &ShadePoint, square: Vec2) -> bool {
-        let sample = self.shape.sample(point, square);
-        sample.is_some_and(|sample| self.factor(&sample, patterns.shadow_width) != Vec3::ZERO)
-    }
-
     /// How much of the place `square` of the light is visible, 0…1.
     fn visible_at(&self, stand: &Stand<'_>, square: Vec2) -> f32 {
         let sample = self.shape.sample(stand.point, square);
         sample.map_or(0.0, |sample| self.visible(&sample, stand))
     }
 
+    /// Unit direction to it if it has one only: there is no texture on it, and it is small as seen from `point`.
+    fn far_direction(&self, point: &ShadePoint) -> Option<Vec3> {
+        let ball = self.beacon.filter(|_| self.texture.is_none())?;
+        let way = ball.center - point.position;
+        is_far(ball.radius, way).then(|| way.normalize_or_zero())
+    }
+
     /// For radiance 1: the closed form, or the mean of many samples; with shaping and texture.
     fn unshadowed(&self, patterns: &Patterns, point: &ShadePoint) -> Vec3 {
         let closed = self.shape.irradiance(point);
+        if let (Some(irradiance), Some(shaping)) = (closed, self.shaping)
+            && let Some(to_light) = self.far_direction(point)
+        {
+            return shaping.factor(-to_light) * irradiance;
+        }
         let is_plain = self.shaping.is_none() && self.texture.is_none();
         match closed {
             Some(irradiance) if is_plain || irradiance <= 0.0 => Vec3::splat(irradiance),
@@ -207,14 +272,15 @@ impl AreaLight {
             }
             _ => {
                 let (mut plain, mut colored) = (0.0, Vec3::ZERO);
-                for &square in &patterns.unshadowed {
+                let Pattern { squares, width } = &patterns.unshadowed;
+                for &square in squares {
                     if let Some(sample) = self.shape.sample(point, square) {
                         plain += sample.weight;
-                        colored += sample.weight * self.factor(&sample, patterns.unshadowed_width);
+                        colored += sample.weight * self.factor(&sample, *width);
                     }
                 }
                 #[expect(clippy::cast_precision_loss, reason = "a few hundred samples")]
-                let total = patterns.unshadowed.len() as f32;
+                let total = squares.len() as f32;
                 match closed {
                     Some(irradiance) if plain > 0.0 => colored * (irradiance / plain),
                     _ => colored / total,
@@ -223,10 +289,10 @@ impl AreaLight {
         }
     }
 
-    /// Share of the irradiance that arrives, a channel each; a quarter of the rays if these agree.
-    fn visible_fraction(&self, patterns: &Patterns, stand: &Stand<'_>) -> Vec3 {
-        let squares = &patterns.shadow;
-        let quarter = squares.len().div_ceil(4);
+    /// Share of the irradiance that arrives, a channel each; a quarter of the rays, four at least, if these agree.
+    fn visible_fraction(&self, pattern: &Pattern, stand: &Stand<'_>) -> Vec3 {
+        let squares = &pattern.squares;
+        let quarter = squares.len().div_ceil(4).max(FEWEST).min(squares.len());
         let (mut all, mut lit) = (Vec3::ZERO, Vec3::ZERO);
         for part in [&squares[..quarter], &squares[quarter..]] {
             let is_unanimous = lit == Vec3::ZERO || lit == all;
@@ -234,7 +300,7 @@ impl AreaLight {
                 break;
             }
             for some in part.chunks(TOGETHER) {
-                let arrival = self.arrival(some, patterns, stand);
+                let arrival = self.arrival(some, pattern.width, stand);
                 all += arrival.open;
                 lit += arrival.lit;
             }
@@ -248,7 +314,7 @@ impl AreaLight {
     }
 
     /// What comes from the places `some`, at most [`TOGETHER`], of the light.
-    fn arrival(&self, some: &[Vec2], patterns: &Patterns, stand: &Stand<'_>) -> Arrival {
+    fn arrival(&self, some: &[Vec2], width: f32, stand: &Stand<'_>) -> Arrival {
         let (mut weights, mut ways) = ([Vec3::ZERO; TOGETHER], [Way::NONE; TOGETHER]);
         let mut count = 0;
         let mut arrival = Arrival::default();
@@ -256,7 +322,7 @@ impl AreaLight {
             let Some(sample) = self.shape.sample(stand.point, square) else {
                 continue;
             };
-            let weight = sample.weight * self.factor(&sample, patterns.shadow_width);
+            let weight = sample.weight * self.factor(&sample, width);
             arrival.open += weight;
             let way = (weight != Vec3::ZERO)
                 .then(|| stand.way(sample.position, sample.to_light))

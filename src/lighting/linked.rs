@@ -1,5 +1,7 @@
 //! Lights with the prims that they are linked to: those they light, and those that block them.
 
+mod receivers;
+
 use super::beacons::Beacons;
 use super::lights::{AreaLight, Patterns};
 use super::stand::Stand;
@@ -8,6 +10,8 @@ use crate::math::{Bounds3, sequence};
 use crate::scene::{Light, Linked, Scene};
 use crate::trace::{Bodies, Opacity, Tracer};
 use glam::Vec3;
+pub(super) use receivers::Scratch;
+use receivers::by_place;
 use std::sync::Arc;
 
 /// All lights of a scene but domes and emissive surfaces.
@@ -16,6 +20,8 @@ pub(super) struct LinkedLights {
     /// Row after row, see [`rows_of`].
     lights: Vec<LinkedLight>,
     beacons: Beacons,
+    /// Their indices, neighbors near each other.
+    by_place: Vec<usize>,
     /// Those with an extent, by their places in `lights`.
     bodies: Bodies,
     /// For lights that only some prims block, one for each such set.
@@ -82,6 +88,7 @@ impl LinkedLights {
         let lights: Vec<_> = dealt.into_iter().map(|(_, linked)| linked).collect();
         Self {
             beacons: Beacons::new(lights.iter().map(|linked| linked.light.beacon())),
+            by_place: by_place(&lights),
             bodies: bodies_of(&lights),
             lights,
             tracers,

@@ -31,7 +31,7 @@ use emitters::EmitterPatterns;
 use environment::Environment;
 use glam::Vec3;
 use lights::{AreaLight, Patterns};
-use linked::LinkedLights;
+use linked::{LinkedLights, Scratch};
 use linked_domes::{Fineness, is_linked};
 use linked_emitters::LinkedEmitters;
 use stand::Stand;
@@ -152,7 +152,9 @@ pub fn smooth_offset(
 /// How finely extended lights are sampled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LightSamples {
-    /// Shadow rays to each extended light in penumbrae (a quarter decides whether it is one).
+    /// Shadow rays in penumbrae (a quarter decides whether a receiver lies in one) to an extended light that is all there is.
+    /// Of several each has its share, 4 or more; weak ones have one for some together, where there are more than 4. Surfels send
+    /// so many to each light.
     pub per_light: u32,
     /// Rays to emissive surfaces.
     pub emissive: u32,
@@ -281,7 +283,17 @@ impl Lighting {
 
     /// Irradiance from all UsdLux lights but domes: closed form where unshadowed, times the ray-traced visible part.
     pub fn lights(&self, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        self.lights_by(&self.fine, tracer, point)
+        self.lights_at(tracer, std::slice::from_ref(point))[0]
+    }
+
+    /// [`Self::lights`] at each of `points`.
+    pub fn lights_at(&self, tracer: &Tracer, points: &[ShadePoint]) -> Vec<Vec3> {
+        let (patterns, mut scratch) = (&self.fine.lights, Scratch::default());
+        let stands = points.iter().map(|point| Stand::new(tracer, point));
+        let lights = &self.lights;
+        stands
+            .map(|stand| lights.irradiance(patterns, &stand, &mut scratch))
+            .collect()
     }
 
     /// Irradiance from dome lights along unblocked directions; exact when nothing blocks.
@@ -416,13 +428,6 @@ impl Lighting {
             light.glint(patterns, stand, number as usize, brdf)
         };
         (self.lights).glimpse(patterns, &Stand::new(tracer, point), number, &of)
-    }
-
-    fn lights_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {
-        let stand = Stand::new(tracer, point);
-        (self.lights).sum(&stand, |light, stand| {
-            light.irradiance(&detail.lights, stand)
-        })
     }
 
     fn environment_by(&self, detail: &Detail, tracer: &Tracer, point: &ShadePoint) -> Vec3 {

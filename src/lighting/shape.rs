@@ -41,6 +41,8 @@ pub(super) struct Plane {
     /// Unit, towards the lit side.
     normal: Vec3,
     area: f32,
+    /// Of a ball around it.
+    radius: f32,
     /// Counter-clockwise as seen from the lit side.
     outline: Vec<DVec3>,
 }
@@ -81,10 +83,7 @@ impl Shape {
         match self {
             Self::Parallel { .. } | Self::Sky { .. } => None,
             Self::Point { position, .. } => Some((*position, 0.0)),
-            Self::Plane(plane) => {
-                let [a, b] = plane.half.map(Vec3::length);
-                Some((plane.center, a + b))
-            }
+            Self::Plane(plane) => Some((plane.center, plane.radius)),
             Self::Ellipsoid(body) => Some(around(body, Vec3::ONE)),
             Self::Tube { body, half_length } => {
                 Some(around(body, Vec3::new(*half_length, 1.0, 1.0)))
@@ -117,6 +116,7 @@ impl Shape {
             is_disk,
             normal: front.normalize_or_zero().as_vec3(),
             area,
+            radius: halves[0].length() + halves[1].length(),
             outline,
         })
     }
@@ -157,7 +157,9 @@ impl Shape {
             }),
             Self::Plane(plane) => Some(plane.irradiance(point)),
             Self::Ellipsoid(ellipsoid) => {
-                let radius = f64::from(ellipsoid.radius?);
+                let Some(radius) = ellipsoid.radius.map(f64::from) else {
+                    return self.far_irradiance(point);
+                };
                 let center = Vec3::from(ellipsoid.world_from_unit.translation);
                 let offset = (center - point.position).as_dvec3();
                 let distance = offset.length();
@@ -167,8 +169,24 @@ impl Shape {
                     0.0
                 })
             }
-            Self::Tube { .. } => None,
+            Self::Tube { .. } => self.far_irradiance(point),
         }
+    }
+
+    /// Irradiance of radiance 1 from an ellipsoid or a tube that is far and wholly above the horizon, by the area that it shows.
+    fn far_irradiance(&self, point: &ShadePoint) -> Option<f32> {
+        let (center, radius) = self.ball()?;
+        let way = center - point.position;
+        if !(is_far(radius, way) && point.normal.dot(way) > radius) {
+            return None;
+        }
+        let (to_light, squared) = direction_to(center, point)?;
+        let shown = match self {
+            Self::Ellipsoid(body) => body.shown(to_light),
+            Self::Tube { body, half_length } => body.shown_of_tube(*half_length, -way),
+            _ => return None,
+        };
+        Some(shown * point.normal.dot(to_light) / squared)
     }
 
     /// The sample at `square` (in the unit square); `None` where the light does not shine towards the point.
@@ -221,6 +239,15 @@ impl LightSample {
     }
 }
 
+/// Square of the ball around a light over that of the way there from which on the light counts as one place with the area that it
+/// shows: true to about as much.
+const FAR: f32 = 1e-4;
+
+/// True if a ball of `radius` at the end of `way` is small.
+pub(super) fn is_far(radius: f32, way: Vec3) -> bool {
+    radius * radius <= FAR * way.length_squared()
+}
+
 /// Unit direction and squared distance.
 fn direction_to(position: Vec3, point: &ShadePoint) -> Option<(Vec3, f32)> {
     let offset = position - point.position;
@@ -246,6 +273,12 @@ fn outline_of(center: DVec3, half: [DVec3; 2], is_disk: bool) -> Vec<DVec3> {
 impl Plane {
     #[expect(clippy::cast_possible_truncation, reason = "f64 to f32")]
     fn irradiance(&self, point: &ShadePoint) -> f32 {
+        let way = self.center - point.position;
+        let is_above = point.normal.dot(way) > self.radius;
+        if is_above && is_far(self.radius, way) {
+            let sample = LightSample::on_surface(self.center, self.normal * self.area, point);
+            return sample.map_or(0.0, |sample| sample.weight);
+        }
         if self.normal.dot(point.position - self.center) <= 0.0 {
             return 0.0;
         }
@@ -269,6 +302,29 @@ impl Plane {
 }
 
 impl Ellipsoid {
+    /// Area that is seen from far along the unit `direction`.
+    fn shown(&self, direction: Vec3) -> f32 {
+        let unit = self.unit_from_world.transform_vector3(direction).length();
+        PI * self.world_from_unit.matrix3.determinant().abs() * unit
+    }
+
+    /// The same of the tube of radius 1 along X, from the end of `way`, which leads from its middle. It has no ends, so that what
+    /// stands out behind the nearer one, as seen from infinitely far, is less by what that end would hide from there.
+    fn shown_of_tube(&self, half_length: f32, way: Vec3) -> f32 {
+        let along = self.unit_from_world.transform_vector3(way);
+        // The middle of the side that is seen, a quarter of a turn away.
+        let side = Vec3::new(0.0, -along.z, along.y).normalize_or_zero();
+        let to_nearer = half_length.copysign(along.x);
+        let of = |v: Vec3| self.world_from_unit.transform_vector3(v);
+        let (axis, squared) = (of(Vec3::X * to_nearer), way.length_squared());
+        let end = PI * of(Vec3::Y).cross(of(Vec3::Z));
+        let end = if end.dot(axis) < 0.0 { -end } else { end };
+        let shown = |way: Vec3| end.dot(way) / way.length().powi(3);
+        let length = squared.sqrt();
+        4.0 * way.dot(axis.cross(of(side))).abs() / length
+            + (shown(way) - shown(way - axis)) * squared
+    }
+
     /// `None` if the transform cannot be inverted.
     pub(super) fn new(world_from_unit: Affine3A) -> Option<Self> {
         let unit_from_world = world_from_unit.inverse();
@@ -360,5 +416,64 @@ impl Ellipsoid {
         let unit = Vec3::new(from.x + along, around.x, around.y);
         let position = self.world_from_unit.transform_point3(unit);
         LightSample::on_surface(position, area.into(), point)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{EulerRot, Quat};
+
+    #[test]
+    fn from_far_shapes_give_what_their_places_do() {
+        let turn = Quat::from_euler(EulerRot::XYZ, 0.4, 0.7, -0.3);
+        let stretched =
+            |scale: Vec3| Affine3A::from_scale_rotation_translation(scale, turn, Vec3::Y);
+        let body = |scale| Ellipsoid::new(stretched(scale)).unwrap();
+        let half_length = 3.0;
+        let shapes = [
+            Shape::plane(&stretched(Vec3::ONE), Vec2::new(1.0, 0.5), false),
+            Shape::plane(&stretched(Vec3::ONE), Vec2::new(1.0, 0.5), true),
+            Shape::Ellipsoid(body(Vec3::new(1.0, 0.5, 2.0))),
+            Shape::Tube {
+                body: body(Vec3::new(1.0, 0.5, 0.5)),
+                half_length,
+            },
+        ];
+        let places = pattern::grid(64);
+        for (number, shape) in shapes.iter().enumerate() {
+            let (center, radius) = shape.ball().unwrap();
+            for toward in [
+                Vec3::NEG_Z,
+                Vec3::new(0.4, 0.3, -1.0),
+                Vec3::new(-0.5, 0.2, -0.6),
+            ] {
+                let mut values = [0.0; 2];
+                for (value, times) in values.iter_mut().zip([99.0, 101.0]) {
+                    let position = center + turn * toward.normalize() * radius * times;
+                    let normal = ((center - position).normalize() + 0.5 * Vec3::X).normalize();
+                    let point = ShadePoint {
+                        position,
+                        normal,
+                        geometric_normal: normal,
+                        smooth_offset: None,
+                        prim: None,
+                    };
+                    let weight =
+                        |&square: &Vec2| shape.sample(&point, square).map_or(0.0, |s| s.weight);
+                    let sampled = places.iter().map(weight).sum::<f32>() / 4096.0;
+                    let told = shape.irradiance(&point);
+                    assert!(times > 100.0 || number < 2 || told.is_none());
+                    let told = told.unwrap_or(sampled);
+                    assert!(
+                        told > 0.0 && (told / sampled - 1.0).abs() < 4e-4,
+                        "{number} {told} {sampled}"
+                    );
+                    *value = told * times * times;
+                }
+                let [near, far] = values;
+                assert!((near / far - 1.0).abs() < 4e-4, "{number} {near} {far}");
+            }
+        }
     }
 }

@@ -35,7 +35,7 @@ fn a_few_looks_at_many_lights_are_true_in_the_mean() {
         let shader = Shader::new(&scene, &diagnostics);
         let tracer = Tracer::new(&scene);
         let lighting = Lighting::new(&shader, ONE_LIGHT, &diagnostics);
-        let exact = lighting.lights(&tracer, &point).x;
+        let exact = each_alone(&scene, std::slice::from_ref(&point))[0];
         let looks = 4096;
         let mean = (0..looks)
             .map(|number| lighting.glimpse(&tracer, &point, number * 977).x)
@@ -191,4 +191,117 @@ fn the_light_that_a_ray_meets_first_is_the_nearest_of_all_asked_one_by_one() {
         }
     }
     assert!(met > 2000 && nearer > 100, "{met} {nearer}");
+}
+
+/// The light of each of the lights of `scene` alone, summed, at `points`.
+fn each_alone(scene: &Scene, points: &[ShadePoint]) -> Vec<f32> {
+    let (diagnostics, tracer) = (Diagnostics::default(), Tracer::new(scene));
+    let mut sums = vec![0.0; points.len()];
+    for light in &scene.lights {
+        let mut one = scene.clone();
+        one.lights = vec![light.clone()];
+        let shader = Shader::new(&one, &diagnostics);
+        let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
+        let light = lighting.lights_at(&tracer, points);
+        (sums.iter_mut().zip(light)).for_each(|(sum, light)| *sum += light.x);
+    }
+    sums
+}
+
+/// Lamps over a floor on which a block throws a shadow, and the light at places along a line through it: by all lights together, and
+/// each on its own, summed.
+fn along_a_line(lights: Vec<Light>, places: u16) -> Vec<(f32, f32)> {
+    let block = quad(
+        Vec3::new(-0.5, 1.0, -0.5),
+        Vec3::new(-0.5, 1.0, 0.5),
+        Vec3::new(0.5, 1.0, 0.5),
+        Vec3::new(0.5, 1.0, -0.5),
+    );
+    let mut scene = scene(vec![mesh(&block)], &[(0, Affine3A::IDENTITY)]);
+    scene.lights = lights;
+    let diagnostics = Diagnostics::default();
+    let shader = Shader::new(&scene, &diagnostics);
+    let tracer = Tracer::new(&scene);
+    let points: Vec<ShadePoint> = (0..places)
+        .map(|i| {
+            up_at(Vec3::new(
+                6.0 * f32::from(i) / f32::from(places) - 3.0,
+                0.0,
+                0.05,
+            ))
+        })
+        .collect();
+    let samples = LightSamples::default();
+    let together = Lighting::new(&shader, samples, &diagnostics).lights_at(&tracer, &points);
+    let alone = each_alone(&scene, &points);
+    together
+        .into_iter()
+        .map(|light| light.x)
+        .zip(alone)
+        .collect()
+}
+
+#[test]
+fn many_lights_light_a_receiver_as_each_does_alone() {
+    for count in [5, 40, 300] {
+        let found = along_a_line(lamps(count), 200);
+        let mean = found.iter().map(|(_, alone)| alone).sum::<f32>() / 200.0;
+        let off = |(a, b): &(f32, f32)| (a - b) / mean;
+        let worst = found.iter().map(|it| off(it).abs()).fold(0.0, f32::max);
+        let rms = (found.iter().map(|it| off(it).powi(2)).sum::<f32>() / 200.0).sqrt();
+        let steps = found.windows(2).map(|w| (off(&w[1]) - off(&w[0])).powi(2));
+        let noise = (steps.sum::<f32>() / 200.0).sqrt();
+        assert!(rms < 0.007 && worst < 0.025, "{count}: {rms} {worst}");
+        // Groups that followed the receivers would make noise of 1.3 %.
+        assert!(noise < 0.005, "{count}: {noise}");
+    }
+}
+
+#[test]
+fn lights_that_nothing_hides_are_exact_however_many_there_are() {
+    let mut lights = lamps(300);
+    for light in &mut lights {
+        light.world_from_light.translation.x += 20.0;
+    }
+    for (together, alone) in along_a_line(lights, 50) {
+        assert!(
+            alone > 0.0 && (together / alone - 1.0).abs() < 1e-5,
+            "{together} {alone}"
+        );
+    }
+}
+
+#[test]
+fn a_lamp_in_the_shadow_of_a_sun_is_looked_at_as_if_there_were_no_sun() {
+    // The sun stands below the floor's horizon for the block: it is hidden under the block alone.
+    let lamp = || {
+        let kind = LightKind::Sphere {
+            radius: 0.4,
+            treat_as_point: false,
+        };
+        light(kind, Affine3A::from_translation(Vec3::new(0.9, 2.0, 0.0)))
+    };
+    let mut sun = light(
+        LightKind::Distant { angle: 0.01 },
+        Affine3A::from_rotation_x(-FRAC_PI_2),
+    );
+    sun.radiance *= 1e7;
+    let mut dim: Vec<Light> = lamps(30);
+    dim.iter_mut().for_each(|light| light.radiance *= 1e-6);
+    let with_sun: Vec<Light> = [sun, lamp()].into_iter().chain(dim.clone()).collect();
+    let without: Vec<Light> = std::iter::once(lamp()).chain(dim).collect();
+    let (with, without) = (along_a_line(with_sun, 120), along_a_line(without, 120));
+    let in_shadow = 52..68;
+    // In its penumbra and out of it.
+    let open = without.iter().map(|(light, _)| *light).fold(0.0, f32::max);
+    let found: Vec<_> = in_shadow.map(|i| (with[i].0, without[i].0)).collect();
+    assert!(
+        found
+            .iter()
+            .any(|(_, light)| (0.1..0.5).contains(&(light / open))),
+        "{found:?}"
+    );
+    for (a, b) in found {
+        assert!((a - b).abs() < 0.01 * open, "{a} {b} {open}");
+    }
 }
