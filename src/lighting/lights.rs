@@ -11,9 +11,17 @@ use crate::diagnostics::Diagnostics;
 use crate::scene::{Light, LightKind};
 use crate::trace::{TOGETHER, Way};
 use glam::{Affine3A, Vec2, Vec3};
+use std::ops::AddAssign;
 
 /// Samples along each side of a light whose unshadowed irradiance has no closed form; they cost no rays.
 const UNSHADOWED_SIDE: u16 = 16;
+
+/// Shadow rays of which a quarter tells whether there is a penumbra; of more, those at the rim do, and one of so many inside.
+const FEW: usize = 16;
+const INSIDE: usize = 16;
+
+/// Shadow rays of which those at the rim are more.
+const MANY: usize = 64;
 
 /// Shadow rays to a light with an extent that is looked at on its own, at least.
 const FEWEST: usize = 4;
@@ -45,13 +53,34 @@ pub(super) struct Pattern {
     squares: Vec<Vec2>,
     /// Side of the part of a light that a place stands for, 1 = the whole light.
     width: f32,
+    /// Places that tell whether a receiver lies in the penumbra, on a square and on a round light: along the rim, which shadows
+    /// cross first, and some inside. Empty where a quarter of `squares` tells it.
+    first: [Vec<Vec2>; 2],
 }
 
 impl Pattern {
     fn new(squares: Vec<Vec2>) -> Self {
         #[expect(clippy::cast_precision_loss, reason = "a few hundred samples")]
         let width = 1.0 / (squares.len() as f32).sqrt();
-        Self { squares, width }
+        let with_rim = |rim: Vec<Vec2>| -> Vec<Vec2> {
+            let inside = &squares[..squares.len() / INSIDE];
+            rim.into_iter().chain(inside.iter().copied()).collect()
+        };
+        let first = match squares.len() {
+            0..=FEW => [Vec::new(), Vec::new()],
+            len => {
+                let side = if len > MANY { 4 } else { 3 };
+                [
+                    with_rim(pattern::rim(side)),
+                    with_rim(pattern::circle(4 * side)),
+                ]
+            }
+        };
+        Self {
+            squares,
+            width,
+            first,
+        }
     }
 }
 
@@ -196,7 +225,7 @@ impl AreaLight {
         turn: usize,
         brdf: &dyn Fn(Vec3) -> Vec3,
     ) -> Vec3 {
-        let Pattern { squares, width } = patterns.finest();
+        let Pattern { squares, width, .. } = patterns.finest();
         let square = squares[turn % squares.len()];
         let Some(sample) = self.shape.sample(stand.point, square) else {
             return Vec3::ZERO;
@@ -272,7 +301,7 @@ impl AreaLight {
             }
             _ => {
                 let (mut plain, mut colored) = (0.0, Vec3::ZERO);
-                let Pattern { squares, width } = &patterns.unshadowed;
+                let Pattern { squares, width, .. } = &patterns.unshadowed;
                 for &square in squares {
                     if let Some(sample) = self.shape.sample(point, square) {
                         plain += sample.weight;
@@ -289,28 +318,34 @@ impl AreaLight {
         }
     }
 
-    /// Share of the irradiance that arrives, a channel each; a quarter of the rays, four at least, if these agree.
+    /// Share of the irradiance that arrives, a channel each; told by few rays if these agree.
     fn visible_fraction(&self, pattern: &Pattern, stand: &Stand<'_>) -> Vec3 {
-        let squares = &pattern.squares;
+        let (squares, width) = (&pattern.squares, pattern.width);
+        let first = &pattern.first[usize::from(self.shape.is_round())];
         let quarter = squares.len().div_ceil(4).max(FEWEST).min(squares.len());
-        let (mut all, mut lit) = (Vec3::ZERO, Vec3::ZERO);
-        for part in [&squares[..quarter], &squares[quarter..]] {
-            let is_unanimous = lit == Vec3::ZERO || lit == all;
-            if is_unanimous && all != Vec3::ZERO {
+        let (first, rest) = if first.is_empty() {
+            squares.split_at(quarter)
+        } else {
+            (&first[..], &squares[..])
+        };
+        let mut arrival = Arrival::default();
+        for some in first.chunks(TOGETHER) {
+            arrival += self.arrival(some, width, stand);
+            if !arrival.is_unanimous() {
                 break;
             }
-            for some in part.chunks(TOGETHER) {
-                let arrival = self.arrival(some, pattern.width, stand);
-                all += arrival.open;
-                lit += arrival.lit;
-            }
         }
-        let share = |lit: f32, all: f32| if all > 0.0 { lit / all } else { 0.0 };
-        Vec3::new(
-            share(lit.x, all.x),
-            share(lit.y, all.y),
-            share(lit.z, all.z),
-        )
+        if arrival.open != Vec3::ZERO && arrival.is_unanimous() {
+            return arrival.share();
+        }
+        // Places along the rim stand for no part of the light.
+        if rest.len() == squares.len() {
+            arrival = Arrival::default();
+        }
+        for some in rest.chunks(TOGETHER) {
+            arrival += self.arrival(some, width, stand);
+        }
+        arrival.share()
     }
 
     /// What comes from the places `some`, at most [`TOGETHER`], of the light.
@@ -369,6 +404,26 @@ impl AreaLight {
 struct Arrival {
     open: Vec3,
     lit: Vec3,
+}
+
+impl Arrival {
+    /// All of it or nothing.
+    fn is_unanimous(self) -> bool {
+        self.lit == Vec3::ZERO || self.lit == self.open
+    }
+
+    /// What arrives of what would, a channel each.
+    fn share(self) -> Vec3 {
+        let share = |lit: f32, open: f32| if open > 0.0 { lit / open } else { 0.0 };
+        Vec3::from_array([0, 1, 2].map(|k| share(self.lit[k], self.open[k])))
+    }
+}
+
+impl AddAssign for Arrival {
+    fn add_assign(&mut self, other: Self) {
+        self.open += other.open;
+        self.lit += other.lit;
+    }
 }
 
 /// `None` if it has no extent where it should.

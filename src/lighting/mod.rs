@@ -152,7 +152,7 @@ pub fn smooth_offset(
 /// How finely extended lights are sampled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LightSamples {
-    /// Shadow rays in penumbrae (a quarter decides whether a receiver lies in one) to an extended light that is all there is.
+    /// Shadow rays in penumbrae (fewer decide whether a receiver lies in one) to an extended light that is all there is.
     /// Of several each has its share, 4 or more; weak ones have one for some together, where there are more than 4. Surfels send
     /// so many to each light.
     pub per_light: u32,
@@ -175,6 +175,20 @@ impl Default for LightSamples {
 }
 
 impl LightSamples {
+    /// For receivers of results that may err by `tolerance`, if there is one: few shadow rays are far better than 2 %.
+    pub fn within(tolerance: Option<f64>) -> Self {
+        let usual = Self::default();
+        let is_wide = tolerance.is_some_and(|tolerance| tolerance >= COARSE);
+        Self {
+            per_light: if is_wide {
+                usual.per_light / 4
+            } else {
+                usual.per_light
+            },
+            ..usual
+        }
+    }
+
     /// The lesser of each.
     fn at_most(self, other: Self) -> Self {
         Self {
@@ -191,6 +205,9 @@ impl LightSamples {
         environment: 128,
     };
 }
+
+/// Least tolerance for which a quarter of the usual shadow rays is tried: bands in wide penumbrae can just be seen then.
+const COARSE: f64 = 0.03;
 
 /// Rays to a light end this part of their length before it, more than the rounding of a hit distance, so that a surface
 /// in which the light lies does not block it.

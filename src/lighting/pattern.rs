@@ -46,6 +46,34 @@ pub(super) fn quarter_of(count: usize) -> usize {
     count.div_ceil(4)
 }
 
+/// So far inside of the rim lie places along it, of the square's side: there is always something of the light around them.
+const INSET: f32 = 1.0 / 256.0;
+
+/// `4 · side` places along the rim of the unit square, its corners among them.
+pub(super) fn rim(side: u16) -> Vec<Vec2> {
+    let (low, high) = (Vec2::splat(INSET), Vec2::splat(1.0 - INSET));
+    let corners = [
+        low,
+        Vec2::new(high.x, low.y),
+        high,
+        Vec2::new(low.x, high.y),
+    ];
+    let edges = corners.into_iter().zip(corners.into_iter().cycle().skip(1));
+    edges
+        .flat_map(|(from, to)| {
+            (0..side).map(move |i| from.lerp(to, f32::from(i) / f32::from(side)))
+        })
+        .collect()
+}
+
+/// `count` places of the unit square that lie along the rim of a [`disk`].
+pub(super) fn circle(count: u16) -> Vec<Vec2> {
+    let turn = |i: u16| (f32::from(i) + 0.5) / f32::from(count);
+    (0..count)
+        .map(|i| Vec2::new(1.0 - INSET, turn(i)))
+        .collect()
+}
+
 /// The middles of `side × side` squares: for smooth integrands, far better than [`square`].
 pub(super) fn grid(side: u16) -> Vec<Vec2> {
     let middle = |i: u16| (f32::from(i) + 0.5) / f32::from(side);

@@ -189,6 +189,16 @@ impl Shape {
         Some(shown * point.normal.dot(to_light) / squared)
     }
 
+    /// True if the first coordinate of the squares that [`Self::sample`] takes leads from the middle to the rim, and not from side to
+    /// side.
+    pub(super) fn is_round(&self) -> bool {
+        match self {
+            Self::Plane(plane) => plane.is_disk,
+            Self::Ellipsoid(_) | Self::Sky { .. } => true,
+            Self::Point { .. } | Self::Parallel { .. } | Self::Tube { .. } => false,
+        }
+    }
+
     /// The sample at `square` (in the unit square); `None` where the light does not shine towards the point.
     pub(super) fn sample(&self, point: &ShadePoint, square: Vec2) -> Option<LightSample> {
         match self {

@@ -517,3 +517,4 @@ fn ball(n: usize) -> Vec<[Vec3; 3]> {
 mod emitters;
 mod facets;
 mod many_lights;
+mod penumbrae;

@@ -44,7 +44,7 @@ pub(super) fn run(
     for time in job.stage.times() {
         with_world(
             &mut source,
-            (&job.stage, time, needs),
+            (&job.stage, time, needs.within(job.gather.tolerance)),
             &mut report,
             diagnostics,
             |world, report| {

@@ -132,13 +132,17 @@ impl Choice {
 
     /// Lights with as many samples as the tolerance needs; `None`: the world's own do.
     pub(super) fn lighting(self, world: &World<'_>, diagnostics: &Diagnostics) -> Option<Lighting> {
-        (self.light_scale > 1)
-            .then(|| Lighting::new(world.shader, samples(self.light_scale), diagnostics))
+        (self.light_scale > 1).then(|| {
+            Lighting::new(
+                world.shader,
+                samples(world.samples, self.light_scale),
+                diagnostics,
+            )
+        })
     }
 }
 
-fn samples(scale: u32) -> LightSamples {
-    let usual = LightSamples::default();
+fn samples(usual: LightSamples, scale: u32) -> LightSamples {
     LightSamples {
         per_light: usual.per_light * scale,
         emissive: usual.emissive * scale,
@@ -414,7 +418,7 @@ pub(super) fn look(
         .aovs
         .iter()
         .any(samples_light)
-        .then(|| Lighting::new(world.shader, samples(4), diagnostics));
+        .then(|| Lighting::new(world.shader, samples(world.samples, 4), diagnostics));
     let rays = |count: u32, turn: f32| {
         let settings = RaysSettings {
             turn,

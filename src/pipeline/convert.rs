@@ -136,6 +136,7 @@ fn read_usd(job: &ConvertJob, diagnostics: &Diagnostics) -> Result<Read, Error> 
         solidity: false,
         lights: false,
         gloss: true,
+        tolerance: None,
     };
     let time = job.stage.frames.first().copied();
     let settings = ReadSettings {

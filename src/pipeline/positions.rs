@@ -37,12 +37,13 @@ pub(super) fn run(
     }
     record(&job.gather, &job.gather.aovs, &mut report);
     let mut source = source_of(&job.stage, opened, diagnostics)?;
+    let needs = Needs::of(&job.gather.aovs).within(job.gather.tolerance);
     for (time, path) in &frames {
         let (points, about) =
             cloud::read_points(&outputs::frame_path(positions, *time), diagnostics)?;
         with_world(
             &mut source,
-            (&job.stage, *time, Needs::of(&job.gather.aovs)),
+            (&job.stage, *time, needs),
             &mut report,
             diagnostics,
             |world, report| {

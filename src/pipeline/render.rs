@@ -49,7 +49,7 @@ pub(super) fn run(
         let is_first = index == 0;
         with_world(
             &mut source,
-            (&job.stage, time, needs),
+            (&job.stage, time, needs.within(job.gather.tolerance)),
             &mut report,
             diagnostics,
             |world, report| {

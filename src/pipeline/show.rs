@@ -99,6 +99,7 @@ pub(super) fn read(
         solidity: false,
         lights: false,
         gloss: false,
+        tolerance: None,
     };
     let settings = ReadSettings {
         all_primvars: true,

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// What a job has to read besides geometry.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Needs {
     /// Materials, display colors, textures.
     pub materials: bool,
@@ -27,6 +27,8 @@ pub(super) struct Needs {
     pub lights: bool,
     /// What is glossy about materials.
     pub gloss: bool,
+    /// What results may err by.
+    pub tolerance: Option<f64>,
 }
 
 impl Needs {
@@ -36,7 +38,13 @@ impl Needs {
         solidity: true,
         lights: true,
         gloss: true,
+        tolerance: None,
     };
+
+    /// The same for results that may err by `tolerance`.
+    pub(super) fn within(self, tolerance: Option<f64>) -> Self {
+        Self { tolerance, ..self }
+    }
 
     /// The same where receivers are looked at: `color` holds what they reflect glossily.
     pub(super) fn of_seen(aovs: &[Aov]) -> Self {
@@ -57,6 +65,7 @@ impl Needs {
             solidity: true,
             lights: light,
             gloss: aovs.iter().any(|aov| aov.needs_gloss()),
+            tolerance: None,
         }
     }
 }
@@ -107,6 +116,8 @@ pub(super) struct World<'a> {
     pub tracer: Arc<Tracer>,
     /// Lights; none when the job needs none.
     pub lighting: Lighting,
+    /// Those of `lighting`.
+    pub samples: LightSamples,
     /// Sources told apart, all of them in one group each; empty where nobody asks for that.
     pub groups: &'a [LightGroup],
 }
@@ -126,7 +137,8 @@ impl<'a> World<'a> {
         World {
             shader,
             tracer: Arc::clone(&self.tracer),
-            lighting: Lighting::new(shader, LightSamples::default(), diagnostics),
+            lighting: Lighting::new(shader, self.samples, diagnostics),
+            samples: self.samples,
             groups: &[],
         }
     }
@@ -211,9 +223,11 @@ pub(super) fn with_world<T>(
         } => Shader::new(&scene, diagnostics),
         _ => Shader::of_opacity(&scene, diagnostics),
     });
+    let samples = LightSamples::within(needs.tolerance);
     let world = timed(&mut seconds, || World {
         tracer: Arc::new(Tracer::among(&scene, shader.opacity(), |_| true)),
-        lighting: Lighting::new(&shader, LightSamples::default(), diagnostics),
+        lighting: Lighting::new(&shader, samples, diagnostics),
+        samples,
         shader: &shader,
         groups: &groups,
     });
