@@ -95,6 +95,11 @@ impl LinkedLights {
         }
     }
 
+    /// True if surfels need not look at each on its own.
+    pub(super) fn are_many(&self) -> bool {
+        self.lights.len() > FEW_OF_SURFELS
+    }
+
     pub(super) fn count(&self) -> usize {
         self.lights.len()
     }
@@ -203,7 +208,7 @@ impl LinkedLights {
         stand: &Stand<'_>,
         of: impl Fn(&AreaLight, &Stand<'_>) -> Vec3,
     ) -> Vec3 {
-        if self.lights.len() <= FEW_OF_SURFELS {
+        if !self.are_many() {
             return self.sum(stand, of);
         }
         let mut all = 0.0;
@@ -229,7 +234,7 @@ impl LinkedLights {
         stands: impl Iterator<Item = Stand<'a>>,
         light: &mut [Vec3],
     ) {
-        if self.lights.len() <= FEW_OF_SURFELS {
+        if !self.are_many() {
             return;
         }
         let mut weights = vec![0.0; self.lights.len()];

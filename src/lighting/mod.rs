@@ -209,6 +209,9 @@ impl LightSamples {
 /// Least tolerance for which a quarter of the usual shadow rays is tried: bands in wide penumbrae can just be seen then.
 const COARSE: f64 = 0.03;
 
+/// Shadow rays of surfels to many lights together.
+const OF_MANY: u32 = 64;
+
 /// Rays to a light end this part of their length before it, more than the rounding of a hit distance, so that a surface
 /// in which the light lies does not block it.
 const END_MARGIN: f32 = 256.0 * f32::EPSILON;
@@ -230,6 +233,8 @@ pub struct Lighting {
     fine: Detail,
     /// For surfels.
     coarse: Detail,
+    /// For surfels that look at every light, where these are many.
+    of_many: Patterns,
 }
 
 /// The patterns of one [`LightSamples`].
@@ -285,12 +290,14 @@ impl Lighting {
             emitters: LinkedEmitters::new(shader),
             fine: Detail::new(samples, fine_sky),
             coarse: Detail::new(coarse, coarse_sky),
+            of_many: Patterns::new(OF_MANY),
             environment,
         }
     }
 
-    /// The same sources with the samples of surfels. Without `every_light`, of more than 16 lights those that each give a
-    /// surfel little of its light are looked at by chance, 16 at a time: right in the mean over neighbors, not at each surfel.
+    /// The same sources with the samples of surfels. With `every_light`, more than 16 lights light a surfel as they do a receiver;
+    /// without, those of them that each give it little of its light are looked at by chance, 16 at a time: right in the mean over
+    /// neighbors, not at each surfel.
     pub fn for_surfels(&self, every_light: bool) -> SurfelLighting<'_> {
         SurfelLighting {
             lighting: self,
@@ -503,11 +510,15 @@ impl SurfelLighting<'_> {
         })
     }
 
+    /// What `of` says of the lights, summed, but where every one of many is looked at, which takes fewer rays.
     fn sum(&self, stand: &Stand<'_>, of: impl Fn(&AreaLight, &Stand<'_>) -> Vec3) -> Vec3 {
-        if self.every_light {
-            self.lighting.lights.sum(stand, of)
-        } else {
-            self.lighting.lights.major(stand, of)
+        let lights = &self.lighting.lights;
+        match (self.every_light, lights.are_many()) {
+            (true, true) => {
+                lights.irradiance(&self.lighting.of_many, stand, &mut Scratch::default())
+            }
+            (true, false) => lights.sum(stand, of),
+            (false, _) => lights.major(stand, of),
         }
     }
 
