@@ -216,6 +216,38 @@ fn the_same_bits_come_from_one_thread_and_from_eight() {
     });
 }
 
+/// What errs as another AOV does is interpolated as that is, whether it is asked for or not.
+#[test]
+fn who_speaks_for_others_does_not_hang_on_whether_the_measure_is_asked_for() {
+    with_walls(1, |run| {
+        let of = |aovs| Run { aovs, ..run }.interpolated(0.04, &|_| true);
+        let alone = of(&[Aov::RadianceSh]);
+        let together = of(&[Aov::RadianceSh, Aov::IrradianceIndirect]);
+        assert_eq!(alone.gathered, together.gathered);
+        let [a, b] = [&alone, &together].map(|found| values(&found.results, Aov::RadianceSh));
+        assert!(a == b, "{}", relative_rmse(a, b));
+    });
+    let (scene, floor, _) = floor_under_a_roof(96);
+    let tracer = Tracer::new(&scene);
+    let engine = RaysEngine::new(&tracer, None, rays(64, 0.0));
+    let receivers = receivers_in(&scene, floor, 1);
+    let of = |aovs| {
+        let run = Run {
+            scene: &scene,
+            tracer: &tracer,
+            engine: &engine,
+            again: None,
+            fewer: None,
+            receivers: &receivers,
+            aovs,
+        };
+        run.interpolated(0.04, &|_| true)
+    };
+    let alone = of(&[Aov::BentNormal]);
+    let together = of(&[Aov::BentNormal, Aov::Visibility]);
+    assert_eq!(alone.gathered, together.gathered);
+}
+
 #[test]
 fn what_is_refused_is_gathered_at_every_receiver() {
     with_walls(1, |run| {

@@ -51,7 +51,8 @@ impl Work<'_> {
         let mut share = |&aov: &Aov| {
             let range = start..start + aov.components();
             start = range.end;
-            if !is_measured(aov) {
+            let aovs = self.gathering.aovs;
+            if !is_measured(aov) || aovs.iter().any(|&asked| is_measured_as(asked, aov)) {
                 return Ok(1.0);
             }
             let mut without = values.clone();
@@ -71,6 +72,15 @@ fn is_measured(aov: Aov) -> bool {
         aov,
         Aov::Visibility | Aov::IrradianceIndirect | Aov::SpecularIndirect
     )
+}
+
+/// True if `asked` errs as `base` does, though it may be made of others.
+fn is_measured_as(asked: Aov, base: Aov) -> bool {
+    match base {
+        Aov::Visibility => asked.is_openness(),
+        Aov::IrradianceIndirect => asked == Aov::RadianceSh,
+        _ => false,
+    }
 }
 
 fn mean(seeds: &Seeds, components: Range<usize>) -> f64 {
