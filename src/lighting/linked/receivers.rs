@@ -107,7 +107,8 @@ impl LinkedLights {
         };
         own.clear();
         own.extend((0..self.lights.len()).filter(is_own));
-        own.sort_by(|&a, &b| weight(open[b]).total_cmp(&weight(open[a])));
+        let stronger = |a: usize, b: usize| weight(open[b]).total_cmp(&weight(open[a]));
+        own.sort_unstable_by(|&a, &b| stronger(a, b).then(a.cmp(&b)));
         let mut lit = Vec3::ZERO;
         for &index in &*own {
             let light = std::mem::take(&mut open[index]);
