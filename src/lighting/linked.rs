@@ -20,9 +20,9 @@ pub(super) struct LinkedLights {
     /// Row after row, see [`rows_of`].
     lights: Vec<LinkedLight>,
     beacons: Beacons,
-    /// Their indices, neighbors near each other.
+    /// Indices of `lights`, neighbors near each other.
     by_place: Vec<usize>,
-    /// Those with an extent, by their places in `lights`.
+    /// Lights with an extent, by their places in `lights`.
     bodies: Bodies,
     /// For lights that only some prims block, one for each such set.
     tracers: Vec<Tracer>,

@@ -1,8 +1,8 @@
 //! Bodies of any shape, told by the boxes around them, and the nearest that a ray meets.
 
 use super::ray::Ray;
-use super::triangles::BOX_MARGIN;
-use super::wide::{Item, LEAF_SIZE, NEAREST_FIRST, Wide};
+use super::triangles::{item, margin_of};
+use super::wide::{LEAF_SIZE, NEAREST_FIRST, Wide};
 use crate::math::Bounds3;
 use fearless_simd::{Level, Simd, dispatch};
 use glam::Vec3;
@@ -18,20 +18,9 @@ impl Bodies {
     /// Of the boxes around them, a number each, which need not be those of all bodies.
     pub fn new(boxes: &[(u32, Bounds3)]) -> Self {
         let all = (boxes.iter()).fold(Bounds3::EMPTY, |all, (_, bounds)| all.union(*bounds));
-        let margin = if all.is_empty() {
-            0.0
-        } else {
-            BOX_MARGIN * all.min.abs().max(all.max.abs()).max_element()
-        };
-        let grown = |&(index, bounds): &(u32, Bounds3)| Item {
-            bounds: Bounds3 {
-                min: bounds.min - margin,
-                max: bounds.max + margin,
-            },
-            index,
-        };
+        let margin = margin_of(all);
         Self {
-            tree: Wide::build(boxes.iter().map(grown)),
+            tree: Wide::build(boxes.iter().map(|&numbered| item(numbered, margin))),
             level: Level::new(),
         }
     }

@@ -22,7 +22,27 @@ pub(super) use packet::PacketHits;
 use std::ops::Deref;
 
 /// Boxes grow by this part of the largest coordinate, more than the roundings of their distances.
-pub(super) const BOX_MARGIN: f32 = 8.0 * f32::EPSILON;
+const BOX_MARGIN: f32 = 8.0 * f32::EPSILON;
+
+/// Of the boxes of what is all within `all`.
+pub(super) fn margin_of(all: Bounds3) -> f32 {
+    if all.is_empty() {
+        0.0
+    } else {
+        BOX_MARGIN * all.min.abs().max(all.max.abs()).max_element()
+    }
+}
+
+/// A box, `margin` wider on all sides, and its number.
+pub(super) fn item((index, bounds): (u32, Bounds3), margin: f32) -> Item {
+    Item {
+        bounds: Bounds3 {
+            min: bounds.min - margin,
+            max: bounds.max + margin,
+        },
+        index,
+    }
+}
 
 /// Leaves that are tested against all rays of a beam; where they are not enough, each ray looks for itself.
 const MOST_LEAVES: usize = 12;
@@ -63,22 +83,11 @@ impl Triangles {
         reason = "Wide::build asserts the count"
     )]
     pub(super) fn new(corners: &[[Vec3; 3]]) -> Self {
-        let all = Bounds3::around(corners.iter().flatten().copied());
-        let margin = if all.is_empty() {
-            0.0
-        } else {
-            BOX_MARGIN * all.min.abs().max(all.max.abs()).max_element()
-        };
-        let items = corners.iter().enumerate().map(|(index, corners)| {
-            let bounds = Bounds3::around(*corners);
-            Item {
-                bounds: Bounds3 {
-                    min: bounds.min - margin,
-                    max: bounds.max + margin,
-                },
-                index: index as u32,
-            }
-        });
+        let margin = margin_of(Bounds3::around(corners.iter().flatten().copied()));
+        let items = corners
+            .iter()
+            .enumerate()
+            .map(|(index, corners)| item((index as u32, Bounds3::around(*corners)), margin));
         let tree = Wide::build(items);
         let blocks = (tree.order.chunks_exact(LEAF_SIZE))
             .map(|lanes| Block::new(lanes, corners))

@@ -54,7 +54,7 @@ impl LinkedLight {
 }
 
 impl LinkedLights {
-    /// Irradiance of the receiver at `stand`. A light that is all there is takes the rays of `patterns`, a quarter of them where
+    /// Irradiance of the receiver at `stand`. A light that is all there is takes the rays of `patterns`, and fewer where
     /// these agree.
     pub(in crate::lighting) fn irradiance(
         &self,
@@ -200,7 +200,7 @@ impl LinkedLights {
     }
 }
 
-/// A number below `count` that has nothing to do with `of`, but is the same for it always.
+/// A number below `count` that follows no pattern, but is always the same for a group from `start` to `end`.
 fn any_below(count: usize, (start, end): (usize, usize)) -> usize {
     #[expect(clippy::cast_possible_truncation, reason = "any bits will do")]
     let hash = sequence::hash(sequence::hash(start as u32) ^ end as u32);
