@@ -9,23 +9,15 @@
 use super::emitters::{EmissiveTriangle, front_normal};
 use super::form_factor::outline_irradiance;
 use super::panels::barycentrics;
-use super::pattern;
 use super::stand::Stand;
-use crate::math::{Bounds3, luminance};
-use crate::trace::{TOGETHER, Way};
+use super::tree::{Cut, Item, Look, Node, Part, Seen, grow, pick, visible};
+use crate::math::luminance;
 use glam::{DVec3, Vec2, Vec3};
 
 /// A cluster's radius over its distance below which it counts as a point: the error of that is of second order.
 pub(super) const POINT_LIKE: f32 = 0.05;
 /// A triangle's radius over its distance below which three points stand for it: exact to third order.
 const THREE_POINTS: f32 = 0.25;
-/// Most triangles of a cluster that is not divided.
-const LEAF_SIZE: usize = 8;
-/// So many clusters are looked at for one receiver; those left then are taken as they are, roughly.
-pub(super) const MOST_VISITS: usize = 2048;
-/// Subtrees of at least this many triangles are built in parallel.
-const PARALLEL: usize = 8192;
-
 /// A triangle, ready to be summed up.
 #[derive(Debug, Clone, Copy)]
 struct Source {
@@ -40,40 +32,6 @@ struct Source {
     power: f32,
 }
 
-/// A cluster: a run of sources; its first child follows it.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Node {
-    pub(super) first: u32,
-    pub(super) count: u32,
-    /// The second child; 0 = none.
-    pub(super) second: u32,
-    /// Of power.
-    pub(super) center: Vec3,
-    /// Of the ball about the center that holds it.
-    pub(super) radius: f32,
-    /// Sum over its sources.
-    pub(super) moment: Vec3,
-    /// Unit, in the middle of its normals.
-    pub(super) axis: Vec3,
-    /// Cosine of the largest angle between a normal and the axis.
-    pub(super) cone: f32,
-    pub(super) power: f32,
-    /// Of particles: area of their disks over that of the ball's.
-    pub(super) coverage: f32,
-    /// Mean emission over its luminance.
-    pub(super) color: Vec3,
-}
-
-/// What a tree is built over.
-pub(super) trait Item: Send + Sync + Sized {
-    fn center(&self) -> Vec3;
-
-    fn power(&self) -> f32;
-
-    /// Sums over `items`, at least one, the first of which has the number `first`; without children.
-    fn node(items: &[Self], first: u32) -> Node;
-}
-
 /// All such triangles.
 #[derive(Debug)]
 pub(super) struct Clusters {
@@ -81,17 +39,6 @@ pub(super) struct Clusters {
     /// Running sums of the sources' power.
     sums: Vec<f64>,
     nodes: Vec<Node>,
-}
-
-/// A part of the emitters and what it gives without occluders.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Part {
-    pub(super) first: u32,
-    pub(super) count: u32,
-    /// In luminance.
-    pub(super) irradiance: f32,
-    pub(super) power: f32,
-    pub(super) color: Vec3,
 }
 
 impl Clusters {
@@ -146,154 +93,55 @@ impl Clusters {
 
     /// The parts that shine on the receiver, in order of their sources.
     fn parts(&self, stand: &Stand<'_>) -> Vec<Part> {
-        let (origin, normal) = (stand.origin, stand.point.normal);
-        let mut parts = Vec::new();
-        let mut queue = vec![0_u32];
-        let mut next = 0;
-        while let Some(&index) = queue.get(next) {
-            next += 1;
-            let node = &self.nodes[index as usize];
-            match node.seen_from(origin, normal) {
-                Seen::Nothing => {}
-                Seen::Point(irradiance) => parts.push(node.part(irradiance)),
-                Seen::Unclear if next > MOST_VISITS => {
-                    parts.push(node.part(node.roughly(origin, normal)));
-                }
-                Seen::Unclear if node.second == 0 => {
-                    parts.extend(self.leaf(node, origin, normal));
-                }
-                Seen::Unclear => queue.extend([index + 1, node.second]),
-            }
-        }
-        parts.retain(|part: &Part| part.irradiance > 0.0);
-        parts.sort_unstable_by_key(|part| part.first);
-        parts
+        let mut view = View {
+            sources: &self.sources,
+            origin: stand.origin,
+            normal: stand.point.normal,
+        };
+        view.parts(&self.nodes)
+    }
+}
+
+/// The triangles as a receiver looks at them.
+struct View<'a> {
+    sources: &'a [Source],
+    origin: Vec3,
+    normal: Vec3,
+}
+
+impl Cut for View<'_> {
+    fn seen(&mut self, node: &Node) -> Seen {
+        node.seen_from(self.origin, self.normal)
     }
 
-    fn leaf(&self, node: &Node, origin: Vec3, normal: Vec3) -> impl Iterator<Item = Part> {
-        (node.first..node.first + node.count).map(move |first| {
+    fn roughly(&self, node: &Node) -> f32 {
+        node.roughly(self.origin, self.normal)
+    }
+
+    fn leaf(&self, node: &Node, parts: &mut Vec<Part>) {
+        parts.extend((node.first..node.first + node.count).map(|first| {
             let source = &self.sources[first as usize];
             Part {
                 first,
                 count: 1,
-                irradiance: source.irradiance(origin, normal),
+                irradiance: source.irradiance(self.origin, self.normal),
                 power: source.power,
                 color: source.emission / luminance(source.emission),
             }
-        })
+        }));
     }
-}
-
-/// A point of a part of the emitters.
-pub(super) struct Look {
-    /// What it gives, over what it should give by its share.
-    pub(super) weight: Vec3,
-    /// To the receiver; `None` where its own surface hides it.
-    pub(super) way: Option<Way>,
-}
-
-/// Irradiance by `parts`: rays go to the points that `picks`, those of a quarter side by side and then the rest, pick, `look`
-/// finds such a point of a part. A quarter of the rays if these agree.
-pub(super) fn visible(
-    parts: &[Part],
-    stand: &Stand<'_>,
-    picks: &[Vec2],
-    look: impl Fn(&Part, Vec2) -> Option<Look>,
-) -> Vec3 {
-    let mut sum = 0.0;
-    let sums: Vec<f32> = (parts.iter())
-        .map(|part| {
-            sum += part.irradiance;
-            sum
-        })
-        .collect();
-    if sum.is_nan() || sum <= 0.0 {
-        return Vec3::ZERO;
-    }
-    let unoccluded: Vec3 = parts.iter().map(|part| part.color * part.irradiance).sum();
-    let picked = |pick: &Vec2| {
-        let place = pick.x * sum;
-        let at = sums
-            .partition_point(|&sum| sum <= place)
-            .min(parts.len() - 1);
-        let before = if at == 0 { 0.0 } else { sums[at - 1] };
-        let within = ((place - before) / parts[at].irradiance).clamp(0.0, 1.0);
-        look(&parts[at], Vec2::new(within, pick.y))
-    };
-    let (mut all, mut lit) = (Vec3::ZERO, Vec3::ZERO);
-    let (quarter, rest) = picks.split_at(pattern::quarter_of(picks.len()));
-    for (part, is_first) in [(quarter, true), (rest, false)] {
-        if !is_first && all != Vec3::ZERO && (lit == Vec3::ZERO || lit == all) {
-            break;
-        }
-        for some in part.chunks(TOGETHER) {
-            let (mut weights, mut ways) = ([Vec3::ZERO; TOGETHER], [Way::NONE; TOGETHER]);
-            let mut count = 0;
-            for look in some.iter().filter_map(picked) {
-                all += look.weight;
-                if let Some(way) = look.way {
-                    (weights[count], ways[count]) = (look.weight, way);
-                    count += 1;
-                }
-            }
-            let open = stand.tracer.transmittances(&ways[..count]);
-            for (weight, open) in weights.iter().zip(open).take(count) {
-                lit += weight * open;
-            }
-        }
-    }
-    let share = |lit: f32, all: f32| if all > 0.0 { lit / all } else { 0.0 };
-    unoccluded
-        * Vec3::new(
-            share(lit.x, all.x),
-            share(lit.y, all.y),
-            share(lit.z, all.z),
-        )
-}
-
-/// The source of `part` that `place`, 0…1, picks by power, `sums` being its running sums over all sources, and what is left
-/// of `place` within it, 0…1.
-pub(super) fn pick(sums: &[f64], part: &Part, place: f32) -> (usize, f32) {
-    let first = part.first as usize;
-    let run = &sums[first..first + part.count as usize];
-    let before = if first == 0 { 0.0 } else { sums[first - 1] };
-    let pick = before + f64::from(place) * (run[run.len() - 1] - before);
-    let index = run.partition_point(|&sum| sum <= pick).min(run.len() - 1);
-    let low = if index == 0 { before } else { run[index - 1] };
-    #[expect(clippy::cast_possible_truncation, reason = "a part of 1")]
-    let within = ((pick - low) / (run[index] - low)).clamp(0.0, 1.0) as f32;
-    (first + index, within)
-}
-
-/// What a receiver sees of a cluster.
-enum Seen {
-    /// It is below the horizon or turned away.
-    Nothing,
-    /// As good as a point of this irradiance.
-    Point(f32),
-    /// Neither for certain.
-    Unclear,
 }
 
 impl Node {
-    pub(super) fn part(&self, irradiance: f32) -> Part {
-        Part {
-            first: self.first,
-            count: self.count,
-            irradiance,
-            power: self.power,
-            color: self.color,
-        }
-    }
-
     fn seen_from(&self, origin: Vec3, normal: Vec3) -> Seen {
         let offset = self.center - origin;
         let (height, squared) = (normal.dot(offset), offset.length_squared());
         if height <= -self.radius {
             return Seen::Nothing;
         }
-        if squared <= self.radius * self.radius {
-            return Seen::Unclear;
+        let width = (self.radius * self.radius / squared).sqrt();
+        if width >= 1.0 {
+            return Seen::Unclear(width);
         }
         let distance = squared.sqrt();
         // angle of the cone of normals plus that under which the cluster is seen
@@ -307,7 +155,7 @@ impl Node {
             self.cone * cosine - cone_sine * sine,
         );
         if self.cone <= 0.0 || spread_cosine <= 0.0 {
-            return Seen::Unclear;
+            return Seen::Unclear(width);
         }
         let turned = -self.axis.dot(offset) / distance;
         if turned <= -spread_sine {
@@ -315,7 +163,7 @@ impl Node {
         } else if turned >= spread_sine && height >= self.radius && sine < POINT_LIKE {
             Seen::Point(-self.moment.dot(offset) * height / (squared * squared))
         } else {
-            Seen::Unclear
+            Seen::Unclear(width)
         }
     }
 
@@ -385,70 +233,6 @@ impl Source {
     }
 }
 
-/// The nodes of a tree over `sources`, which are put in its order, and the running sums of their power.
-///
-/// # Panics
-/// With 2^31 sources or more.
-pub(super) fn grow<T: Item>(sources: &mut [T]) -> (Vec<Node>, Vec<f64>) {
-    assert!(
-        sources.len() < 1 << 31,
-        "sources of light are numbered with 31 bits"
-    );
-    let nodes = if sources.is_empty() {
-        Vec::new()
-    } else {
-        build(sources, 0)
-    };
-    let mut sum = 0.0;
-    let sums = sources.iter().map(|source| {
-        sum += f64::from(source.power());
-        sum
-    });
-    (nodes, sums.collect())
-}
-
-/// Nodes over `sources`, the first of which has the number `first`; reorders them. Preorder, so that a first child
-/// follows its parent.
-#[expect(clippy::cast_possible_truncation, reason = "grow asserts the count")]
-fn build<T: Item>(sources: &mut [T], first: u32) -> Vec<Node> {
-    let node = T::node(sources, first);
-    if sources.len() <= LEAF_SIZE {
-        return vec![node];
-    }
-    let bounds = Bounds3::around(sources.iter().map(Item::center));
-    let size = bounds.max - bounds.min;
-    let axis = (0..3)
-        .max_by(|&a, &b| size[a].total_cmp(&size[b]))
-        .expect("there are three axes");
-    let middle = sources.len() / 2;
-    sources.select_nth_unstable_by(middle, |a, b| a.center()[axis].total_cmp(&b.center()[axis]));
-    let is_large = sources.len() >= PARALLEL;
-    let (low, high) = sources.split_at_mut(middle);
-    let second_first = first + middle as u32;
-    let (low, high) = if is_large {
-        rayon::join(|| build(low, first), || build(high, second_first))
-    } else {
-        (build(low, first), build(high, second_first))
-    };
-    let mut nodes = Vec::with_capacity(1 + low.len() + high.len());
-    nodes.push(Node {
-        second: 1 + low.len() as u32,
-        ..node
-    });
-    let second = nodes[0].second;
-    for (shift, part) in [(1, low), (second, high)] {
-        nodes.extend(part.into_iter().map(|node| Node {
-            second: if node.second == 0 {
-                0
-            } else {
-                node.second + shift
-            },
-            ..node
-        }));
-    }
-    nodes
-}
-
 impl Item for Source {
     fn center(&self) -> Vec3 {
         self.center
@@ -493,6 +277,8 @@ impl Item for Source {
 #[cfg(test)]
 mod tests {
     use super::super::ShadePoint;
+    use super::super::pattern;
+    use super::super::tree::MOST_LOOKS;
     use super::*;
     use crate::scene::PrimId;
     use crate::trace::Tracer;
@@ -548,7 +334,7 @@ mod tests {
             let point = up_at(Vec3::new(x, 0.0, 0.0));
             let stand = Stand::new(&tracer, &point);
             let parts = clusters.parts(&stand).len();
-            assert!(parts < 3 * MOST_VISITS, "{parts}");
+            assert!(parts < 3 * MOST_LOOKS, "{parts}");
             let squared = x * x + 1.0;
             let truth = PI * 0.16 / squared / squared.sqrt();
             let value = clusters.irradiance(&stand, &pattern::picks(64));
@@ -574,13 +360,13 @@ mod tests {
             let point = up_at(position);
             let stand = Stand::new(&tracer, &point);
             let parts = clusters.parts(&stand);
-            assert!(parts.len() < 3 * MOST_VISITS, "{}", parts.len());
+            assert!(parts.len() < 3 * MOST_LOOKS, "{}", parts.len());
             let sum: f64 = parts.iter().map(|part| f64::from(part.irradiance)).sum();
             let truth: f64 = (clusters.sources.iter())
                 .map(|source| f64::from(source.irradiance(stand.origin, Vec3::Y)))
                 .sum();
             assert!(
-                (sum / truth - 1.0).abs() < 0.05,
+                (sum / truth - 1.0).abs() < 0.01,
                 "{position}: {sum} {truth}"
             );
         }

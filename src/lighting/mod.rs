@@ -19,6 +19,7 @@ mod sampled;
 mod shape;
 mod shaping;
 mod stand;
+mod tree;
 
 pub use environment::{EnvironmentCell, EnvironmentSet, SkyLight};
 pub use linked_domes::LinkedDomes;
