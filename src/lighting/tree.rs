@@ -235,6 +235,26 @@ pub(super) fn visible(
         )
 }
 
+/// How many of the rising `sums` are not above `pick`, less than all: looked for first where it is if they rise evenly, up to
+/// `place`, 0…1, of them.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::cast_precision_loss,
+    reason = "below a count of at most 2^31"
+)]
+fn place_in(sums: &[f64], pick: f64, place: f32) -> usize {
+    let last = sums.len() - 1;
+    let guess = ((place.max(0.0) * sums.len() as f32) as usize).min(last);
+    let is_behind = guess == 0 || sums[guess - 1] <= pick;
+    let range = match (is_behind, sums[guess] <= pick) {
+        (true, false) => return guess,
+        (true, true) => guess..sums.len(),
+        (false, _) => 0..guess,
+    };
+    (range.start + sums[range].partition_point(|&sum| sum <= pick)).min(last)
+}
+
 /// The source of `part` that `place`, 0…1, picks by power, `sums` being its running sums over all sources, and what is left
 /// of `place` within it, 0…1.
 pub(super) fn pick(sums: &[f64], part: &Part, place: f32) -> (usize, f32) {
@@ -242,7 +262,7 @@ pub(super) fn pick(sums: &[f64], part: &Part, place: f32) -> (usize, f32) {
     let run = &sums[first..first + part.count as usize];
     let before = if first == 0 { 0.0 } else { sums[first - 1] };
     let pick = before + f64::from(place) * (run[run.len() - 1] - before);
-    let index = run.partition_point(|&sum| sum <= pick).min(run.len() - 1);
+    let index = place_in(run, pick, place);
     let low = if index == 0 { before } else { run[index - 1] };
     #[expect(clippy::cast_possible_truncation, reason = "a part of 1")]
     let within = ((pick - low) / (run[index] - low)).clamp(0.0, 1.0) as f32;
@@ -311,4 +331,34 @@ fn build<T: Item>(sources: &mut [T], first: u32) -> Vec<Node> {
         }));
     }
     nodes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trace::testing::Random;
+
+    #[test]
+    fn places_are_found_however_sums_rise() {
+        let mut random = Random(11);
+        let rises: [&dyn Fn(f32) -> f64; 3] = [&|_| 1.0, &|x| f64::from(x * x * x), &|x| {
+            if x > 0.4 { 0.0 } else { 3.0 }
+        }];
+        for rise in rises {
+            for count in [1, 2, 7, 300] {
+                let mut sum = 5.0;
+                let step = |_| {
+                    sum += rise(0.5 + 0.5 * random.vector().x);
+                    sum
+                };
+                let sums: Vec<f64> = (0..count).map(step).collect();
+                for i in 0..=1000_u16 {
+                    let place = f32::from(i) / 1000.0;
+                    let pick = 5.0 + f64::from(place) * (sums[count - 1] - 5.0);
+                    let all = sums.partition_point(|&sum| sum <= pick);
+                    assert_eq!(place_in(&sums, pick, place), all.min(count - 1));
+                }
+            }
+        }
+    }
 }
