@@ -2,8 +2,8 @@
 //!
 //! Strong lights are looked at on their own, each by as many rays as its share of the light asks for. All others are groups of
 //! neighbors, halved until none would give more than a small part of the light if nothing were in the way; a group is as visible
-//! as one place on one of its lights: exact where nothing is in the way or everything is. Where looks disagree, groups are a
-//! quarter as strong. They are the same for receivers side by side, so that these err alike.
+//! as one place on one of its lights: exact where nothing is in the way. Where something is, groups are a quarter as strong, and
+//! weaker still where little arrives. They are the same for receivers side by side, so that these err alike.
 
 use super::{FEW, LinkedLight, LinkedLights};
 use crate::lighting::lights::{AreaLight, Pattern, Patterns};
@@ -16,8 +16,12 @@ use glam::{DVec3, Vec3};
 /// Lights that give no less than this share of what there is without shadows are looked at on their own.
 const OWN_SHARE: f64 = 1.0 / 16.0;
 
-/// Times the looks where they disagree.
+/// Times the looks where not all is seen.
 const FINER: usize = 4;
+
+/// Part of the light, one over it, that arrives at least where no more looks are taken than that; and most times as many.
+const DEEP: f64 = 2.0;
+const MOST_DEEP: f64 = 16.0;
 
 /// Kept from receiver to receiver.
 #[derive(Debug, Default)]
@@ -140,12 +144,27 @@ impl LinkedLights {
             reason = "part of a few hundred"
         )]
         let looks = (share * (patterns.rays() / FINER) as f64).ceil().max(1.0) as usize;
-        let coarse = self.by_groups((patterns.finest(), sums), looks, stand);
-        if coarse.is_unanimous() {
-            coarse.lit
-        } else {
-            (self.by_groups((patterns.finest(), sums), FINER * looks, stand)).lit
+        let mut looks = looks;
+        let mut found = self.by_groups((patterns.finest(), sums), looks, stand);
+        if found.is_all_open() {
+            return found.lit;
         }
+        looks *= FINER;
+        found = self.by_groups((patterns.finest(), sums), looks, stand);
+        // Where little arrives what one look is wrong by is much of it.
+        let arrived = (lit + weight(found.lit)) / (lit + rest);
+        if found.is_any_open && arrived < 1.0 / DEEP {
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "1 to 16"
+            )]
+            let times = (1.0 / (DEEP * arrived)).ceil().min(MOST_DEEP) as usize;
+            if times > 1 {
+                found = self.by_groups((patterns.finest(), sums), times * looks, stand);
+            }
+        }
+        found.lit
     }
 
     /// The same by looks that each stand for no more light than one of so many.
@@ -258,7 +277,7 @@ impl Looks {
         self.count = 0;
     }
 
-    fn is_unanimous(&self) -> bool {
-        !(self.is_any_open && self.is_any_blocked)
+    fn is_all_open(&self) -> bool {
+        !self.is_any_blocked
     }
 }

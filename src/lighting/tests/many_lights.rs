@@ -211,11 +211,16 @@ fn each_alone(scene: &Scene, points: &[ShadePoint]) -> Vec<f32> {
 /// Lamps over a floor on which a block throws a shadow, and the light at places along a line through it: by all lights together, and
 /// each on its own, summed.
 fn along_a_line(lights: Vec<Light>, places: u16) -> Vec<(f32, f32)> {
+    under_a_block(1.0, lights, places)
+}
+
+/// The same, the block at this height.
+fn under_a_block(height: f32, lights: Vec<Light>, places: u16) -> Vec<(f32, f32)> {
     let block = quad(
-        Vec3::new(-0.5, 1.0, -0.5),
-        Vec3::new(-0.5, 1.0, 0.5),
-        Vec3::new(0.5, 1.0, 0.5),
-        Vec3::new(0.5, 1.0, -0.5),
+        Vec3::new(-0.5, height, -0.5),
+        Vec3::new(-0.5, height, 0.5),
+        Vec3::new(0.5, height, 0.5),
+        Vec3::new(0.5, height, -0.5),
     );
     let mut scene = scene(vec![mesh(&block)], &[(0, Affine3A::IDENTITY)]);
     scene.lights = lights;
@@ -255,6 +260,18 @@ fn many_lights_light_a_receiver_as_each_does_alone() {
         // Groups that followed the receivers would make noise of 1.3 %.
         assert!(noise < 0.005, "{count}: {noise}");
     }
+}
+
+#[test]
+fn little_light_deep_in_a_shadow_is_as_exact_as_much() {
+    let found = under_a_block(0.25, lamps(300), 300);
+    let open = found.iter().map(|(_, alone)| *alone).fold(0.0, f32::max);
+    let is_deep = |(_, alone): &&(f32, f32)| *alone > 0.004 * open && *alone < 0.2 * open;
+    let deep: Vec<_> = found.iter().filter(is_deep).collect();
+    let squares = deep.iter().map(|(a, b)| (a / b - 1.0).powi(2));
+    #[expect(clippy::cast_precision_loss, reason = "a few places")]
+    let rms = (squares.sum::<f32>() / deep.len() as f32).sqrt();
+    assert!(deep.len() > 20 && rms < 0.03, "{} {rms}", deep.len());
 }
 
 #[test]
