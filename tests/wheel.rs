@@ -22,7 +22,8 @@ fn run(command: &mut Command) -> Output {
     output
 }
 
-/// Makes the wheel in `folder` with maturin, of what `cargo test` has compiled: nothing is compiled anew.
+/// Makes the wheel in `folder` with maturin, of what `cargo test` has compiled: nothing is compiled anew. Cargo loads crates of
+/// other platforms for that, which it needs to tell what it would compile.
 fn wheel(folder: &Path) -> PathBuf {
     let profile = Path::new(PROGRAM).parent().expect("a folder");
     let name = match profile.file_name().and_then(OsStr::to_str) {
@@ -30,8 +31,8 @@ fn wheel(folder: &Path) -> PathBuf {
         name => name.expect("a profile"),
     };
     let mut maturin = Command::new(python::tools().join("bin/maturin"));
-    maturin.current_dir(ROOT).args(["build", "--offline"]);
-    maturin.args(["--locked", "--compatibility", "linux", "--profile", name]);
+    maturin.current_dir(ROOT).args(["build", "--locked"]);
+    maturin.args(["--compatibility", "linux", "--profile", name]);
     maturin
         .arg("--target-dir")
         .arg(profile.parent().expect("a target folder"));
