@@ -18,6 +18,7 @@ use glam::{DVec3, Vec2, Vec3};
 pub(super) const POINT_LIKE: f32 = 0.05;
 /// A triangle's radius over its distance below which three points stand for it: exact to third order.
 const THREE_POINTS: f32 = 0.25;
+
 /// A triangle, ready to be summed up.
 #[derive(Debug, Clone, Copy)]
 struct Source {
@@ -139,13 +140,13 @@ impl Node {
         if height <= -self.radius {
             return Seen::Nothing;
         }
-        let width = (self.radius * self.radius / squared).sqrt();
-        if width >= 1.0 {
-            return Seen::Unclear(width);
-        }
         let distance = squared.sqrt();
-        // angle of the cone of normals plus that under which the cluster is seen
+        // of the angle under which it is seen, from outside
         let sine = self.radius / distance;
+        if squared <= self.radius * self.radius {
+            return Seen::Unclear(sine);
+        }
+        // angle of the cone of normals plus that under which the cluster is seen
         let (cosine, cone_sine) = (
             (1.0 - sine * sine).sqrt(),
             (1.0 - self.cone * self.cone).max(0.0).sqrt(),
@@ -155,7 +156,7 @@ impl Node {
             self.cone * cosine - cone_sine * sine,
         );
         if self.cone <= 0.0 || spread_cosine <= 0.0 {
-            return Seen::Unclear(width);
+            return Seen::Unclear(sine);
         }
         let turned = -self.axis.dot(offset) / distance;
         if turned <= -spread_sine {
@@ -163,7 +164,7 @@ impl Node {
         } else if turned >= spread_sine && height >= self.radius && sine < POINT_LIKE {
             Seen::Point(-self.moment.dot(offset) * height / (squared * squared))
         } else {
-            Seen::Unclear(width)
+            Seen::Unclear(sine)
         }
     }
 

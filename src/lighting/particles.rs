@@ -230,7 +230,7 @@ impl Cut for View<'_> {
         if is_small && height >= node.radius {
             return Seen::Point(self.roughly(node));
         }
-        Seen::Unclear((node.radius * node.radius / squared).sqrt())
+        Seen::Unclear(node.radius / squared.sqrt())
     }
 
     fn roughly(&self, node: &Node) -> f32 {
