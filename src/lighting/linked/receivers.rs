@@ -144,27 +144,23 @@ impl LinkedLights {
             reason = "part of a few hundred"
         )]
         let looks = (share * (patterns.rays() / FINER) as f64).ceil().max(1.0) as usize;
-        let mut looks = looks;
-        let mut found = self.by_groups((patterns.finest(), sums), looks, stand);
-        if found.is_all_open() {
-            return found.lit;
+        let coarse = self.by_groups((patterns.finest(), sums), looks, stand);
+        if coarse.is_all_open() {
+            return coarse.lit;
         }
-        looks *= FINER;
-        found = self.by_groups((patterns.finest(), sums), looks, stand);
+        let fine = self.by_groups((patterns.finest(), sums), FINER * looks, stand);
         // Where little arrives what one look is wrong by is much of it.
-        let arrived = (lit + weight(found.lit)) / (lit + rest);
-        if found.is_any_open && arrived < 1.0 / DEEP {
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "1 to 16"
-            )]
-            let times = (1.0 / (DEEP * arrived)).ceil().min(MOST_DEEP) as usize;
-            if times > 1 {
-                found = self.by_groups((patterns.finest(), sums), times * looks, stand);
-            }
+        let arrived = (lit + weight(fine.lit)) / (lit + rest);
+        if !fine.is_any_open || arrived >= 1.0 / DEEP {
+            return fine.lit;
         }
-        found.lit
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "1 to 16"
+        )]
+        let times = (1.0 / (DEEP * arrived)).ceil().min(MOST_DEEP) as usize;
+        (self.by_groups((patterns.finest(), sums), times * FINER * looks, stand)).lit
     }
 
     /// The same by looks that each stand for no more light than one of so many.
