@@ -10,12 +10,10 @@ use super::emitters::{EmissiveTriangle, front_normal};
 use super::form_factor::outline_irradiance;
 use super::panels::barycentrics;
 use super::stand::Stand;
-use super::tree::{Cut, Item, Look, Node, Part, Seen, grow, pick, visible};
+use super::tree::{Cut, Item, Look, Node, POINT_LIKE, Part, Seen, grow, pick, visible};
 use crate::math::luminance;
 use glam::{DVec3, Vec2, Vec3};
 
-/// A cluster's radius over its distance below which it counts as a point: the error of that is of second order.
-pub(super) const POINT_LIKE: f32 = 0.05;
 /// A triangle's radius over its distance below which three points stand for it: exact to third order.
 const THREE_POINTS: f32 = 0.25;
 
@@ -119,17 +117,15 @@ impl Cut for View<'_> {
         node.roughly(self.origin, self.normal)
     }
 
-    fn leaf(&self, node: &Node, parts: &mut Vec<Part>) {
-        parts.extend((node.first..node.first + node.count).map(|first| {
-            let source = &self.sources[first as usize];
-            Part {
-                first,
-                count: 1,
-                irradiance: source.irradiance(self.origin, self.normal),
-                power: source.power,
-                color: source.emission / luminance(source.emission),
-            }
-        }));
+    fn source(&self, number: u32) -> Part {
+        let source = &self.sources[number as usize];
+        Part {
+            first: number,
+            count: 1,
+            irradiance: source.irradiance(self.origin, self.normal),
+            power: source.power,
+            color: source.emission / luminance(source.emission),
+        }
     }
 }
 

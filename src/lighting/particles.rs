@@ -7,11 +7,10 @@
 //! opened, down to single particles. As [`super::clusters`], for sources that face every way.
 
 use super::balls::Ball;
-use super::clusters::POINT_LIKE;
 use super::form_factor::cap_irradiance;
 use super::pattern;
 use super::stand::Stand;
-use super::tree::{Cut, Item, Look, Node, Part, Seen, grow, pick, visible};
+use super::tree::{Cut, Item, Look, Node, POINT_LIKE, Part, Seen, grow, pick, visible};
 use crate::math::{Frame, luminance};
 use crate::scene::ParticleSet;
 use crate::trace::Way;
@@ -237,18 +236,16 @@ impl Cut for View<'_> {
         node.power * ball_factor(node.center - self.origin, self.normal, node.radius)
     }
 
-    fn leaf(&self, node: &Node, parts: &mut Vec<Part>) {
-        parts.extend((node.first..node.first + node.count).map(|first| {
-            let source = &self.sources[first as usize];
-            let factor = source.factor(source.center - self.origin, self.normal);
-            Part {
-                first,
-                count: 1,
-                irradiance: source.power * factor,
-                power: source.power,
-                color: source.radiance / luminance(source.radiance),
-            }
-        }));
+    fn source(&self, number: u32) -> Part {
+        let source = &self.sources[number as usize];
+        let factor = source.factor(source.center - self.origin, self.normal);
+        Part {
+            first: number,
+            count: 1,
+            irradiance: source.power * factor,
+            power: source.power,
+            color: source.radiance / luminance(source.radiance),
+        }
     }
 }
 

@@ -10,6 +10,8 @@ use crate::math::Bounds3;
 use crate::trace::{TOGETHER, Way};
 use glam::{Vec2, Vec3};
 
+/// A cluster's radius over its distance below which it counts as a point: the error of that is of second order.
+pub(super) const POINT_LIKE: f32 = 0.05;
 /// Most sources of a cluster that is not divided.
 const LEAF_SIZE: usize = 8;
 /// So many clusters are looked at for one receiver; those left then are taken as they are, roughly.
@@ -18,7 +20,7 @@ pub(super) const MOST_LOOKS: usize = 2048;
 const PARALLEL: usize = 8192;
 
 /// Radius over distance of the widest clusters that are left closed by one round after the other.
-const ROUNDS: [f32; 7] = [1.6, 0.8, 0.4, 0.2, 0.1, 0.05, 0.0];
+const ROUNDS: [f32; 7] = [1.6, 0.8, 0.4, 0.2, 0.1, POINT_LIKE, 0.0];
 
 /// A cluster: a run of sources; its first child follows it.
 #[derive(Debug, Clone, Copy)]
@@ -83,8 +85,8 @@ pub(super) trait Cut {
     /// In luminance, what a cluster gives, about.
     fn roughly(&self, node: &Node) -> f32;
 
-    /// Appends the sources of a cluster that has no smaller ones in it.
-    fn leaf(&self, node: &Node, parts: &mut Vec<Part>);
+    /// A single source, by its number.
+    fn source(&self, number: u32) -> Part;
 
     /// The parts of the tree of `nodes` that shine on it, in order of their sources.
     fn parts(&mut self, nodes: &[Node]) -> Vec<Part> {
@@ -101,7 +103,8 @@ pub(super) trait Cut {
                 if walk.looks > MOST_LOOKS {
                     walk.narrow.push((index, 0.0));
                 } else if node.second == 0 {
-                    self.leaf(node, &mut walk.parts);
+                    let all = node.first..node.first + node.count;
+                    walk.parts.extend(all.map(|number| self.source(number)));
                 } else {
                     for child in [index + 1, node.second] {
                         walk.look(self, (child, &nodes[child as usize]), widest);
