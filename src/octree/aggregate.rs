@@ -3,12 +3,12 @@
 //! Sums are f64, added in the order of the children; second moments are carried about each node's own center, so that
 //! nothing cancels.
 
-use super::node::{Lobes, NO_LOBES, Node};
-use super::packed::{PackedLobe, PackedLobes, PackedNode};
+use super::lobe_sums::LobeSums;
+use super::node::{NO_LOBES, Node};
+use super::packed::{PackedLobes, PackedNode};
 use super::split::Cell;
-use super::{LEAF_SURFEL_COUNT, LeafSurfels};
+use super::{FEW, LEAF_SURFEL_COUNT, LeafSurfels};
 use crate::math::Bounds3;
-use crate::math::sh::{CLAMPED_COSINE, Sh9};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::f32::consts::PI;
@@ -23,9 +23,6 @@ const SCATTERED_THICKNESS: f64 = 0.3;
 
 /// Least absolute [`Part::convexity`] of a surface. Sixteen leaves have 0 ± 0.15.
 const SCATTERED_CONVEXITY: f64 = 0.3;
-
-/// Fewer cells than this are not worth a thread.
-const FEW: usize = 32;
 
 /// Second moments: xx, yy, zz, xy, xz, yz.
 type Moments = [f64; 6];
@@ -49,7 +46,7 @@ struct Part {
     normal: Vec3,
     spread: f32,
     /// If its normals are spread.
-    lobes: Option<Box<Lobes>>,
+    lobes: Option<Box<LobeSums>>,
 }
 
 /// All there is to know but the surfels.
@@ -65,6 +62,7 @@ pub(super) struct Aggregate {
 pub(super) fn aggregate(levels: &[Vec<Cell>], surfels: &LeafSurfels) -> Aggregate {
     let mut whole = Aggregate::default();
     let mut nodes_of_level: Vec<Vec<PackedNode>> = Vec::with_capacity(levels.len());
+    (whole.nodes).reserve_exact(levels.iter().map(Vec::len).sum());
     let mut below: Vec<Part> = Vec::new();
     let mut first_below: usize = levels.iter().map(Vec::len).sum();
     for cells in levels.iter().rev() {
@@ -77,10 +75,12 @@ pub(super) fn aggregate(levels: &[Vec<Cell>], surfels: &LeafSurfels) -> Aggregat
         };
         nodes_of_level.push(rows.with_min_len(FEW).map(pack).collect());
         first_below -= cells.len();
-        below = parts;
+        let used = std::mem::replace(&mut below, parts);
+        used.into_par_iter().with_min_len(FEW).for_each(drop);
     }
-    nodes_of_level.reverse();
-    whole.nodes = nodes_of_level.into_iter().flatten().collect();
+    for nodes in nodes_of_level.into_iter().rev() {
+        whole.nodes.par_extend(nodes);
+    }
     whole.bounds = below.first().map_or(Bounds3::EMPTY, |root| root.bounds);
     whole
 }
@@ -96,11 +96,8 @@ fn store_lobes(parts: &[Part], all: &mut PackedLobes) -> Vec<u32> {
         }
     };
     let places = parts.iter().map(place).collect();
-    let lobes = parts.par_iter().with_min_len(FEW);
-    let packed: Vec<PackedLobe> = lobes
-        .filter_map(|part| part.lobes.as_deref().map(PackedLobe::of))
-        .collect();
-    packed.iter().for_each(|lobe| all.push(lobe));
+    let spread = parts.iter().filter_map(|part| part.lobes.as_deref());
+    all.append(&spread.collect::<Vec<_>>());
     places
 }
 
@@ -125,46 +122,28 @@ fn sum_cell(cell: &Cell, surfels: &LeafSurfels, below: &[Part]) -> Part {
     }
     let parts = &below[cell.children.clone()];
     let sum = Part::sum(parts);
-    let lobes = is_spread(&sum).then(|| Box::new(sum_lobes(parts)));
+    let lobes = is_spread(&sum).then(|| Box::new(lobes_of(parts)));
     Part { lobes, ..sum }
 }
 
 /// Lobes of all parts: their own, or those of a flat part.
-fn sum_lobes(parts: &[Part]) -> Lobes {
-    let mut sum = Lobes::default();
+fn lobes_of(parts: &[Part]) -> LobeSums {
+    let mut sum = LobeSums::default();
     for part in parts {
-        let flat;
-        let own = match &part.lobes {
-            Some(own) => own,
-            None => {
-                flat = part.flat_lobes();
-                &flat
-            }
-        };
-        sum.area += own.area;
-        for channel in 0..3 {
-            sum.reflected[channel] += own.reflected[channel];
-            sum.emitted[channel] += own.emitted[channel];
+        match &part.lobes {
+            Some(own) => sum.add_child(own),
+            None => part.add_flat_lobes(&mut sum),
         }
     }
     sum
 }
 
 /// Lobes of a leaf.
-fn lobes_of_leaf(surfels: &[Surfel]) -> Lobes {
-    let mut sum = Lobes::default();
+fn lobes_of_leaf(surfels: &[Surfel]) -> LobeSums {
+    let mut sum = LobeSums::default();
     for one in surfels {
-        let cosine = Sh9::clamped_cosine(one.normal) * one.area;
-        sum.area += cosine;
-        let (reflected, emitted) = (one.reflected * PI, one.emitted * PI);
-        for channel in 0..3 {
-            sum.reflected[channel] += cosine * reflected[channel];
-        }
-        if emitted != Vec3::ZERO {
-            for channel in 0..3 {
-                sum.emitted[channel] += cosine * emitted[channel];
-            }
-        }
+        let power = (one.reflected * PI, one.emitted * PI);
+        sum.add_disk(one.normal, one.area, power);
     }
     sum
 }
@@ -312,27 +291,19 @@ impl Part {
         thickness > SCATTERED_THICKNESS * width && self.convexity().abs() < SCATTERED_CONVEXITY
     }
 
-    /// The lobes of a flat part. Normals scattered about their mean, of mean length f, weaken band l of the clamped
-    /// cosine as diffusion on the sphere does, by f^(l(l+1)/2): band 0, the sum of the areas, stays exact.
-    fn flat_lobes(&self) -> Lobes {
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "f64 sums are stored as f32"
+    )]
+    fn add_flat_lobes(&self, sum: &mut LobeSums) {
         let flatness = if self.area > 0.0 {
             self.facing.length() / self.area
         } else {
             1.0
         };
-        #[expect(
-            clippy::cast_possible_truncation,
-            reason = "f64 sums are stored as f32"
-        )]
-        let (area, f) = (self.area as f32, flatness.min(1.0) as f32);
-        let [band0, band1, band2] = CLAMPED_COSINE;
-        let cosine = Sh9::zonal(self.normal, [band0, band1 * f, band2 * f.powi(3)]);
-        let scaled = |power: DVec3| power.as_vec3().to_array().map(|value| cosine * value);
-        Lobes {
-            area: cosine * area,
-            reflected: scaled(self.reflected_power),
-            emitted: scaled(self.emitted_power),
-        }
+        let about = (self.normal, flatness.min(1.0) as f32);
+        let power = (self.reflected_power.as_vec3(), self.emitted_power.as_vec3());
+        sum.add_flat(about, self.area as f32, power);
     }
 
     #[expect(

@@ -5,6 +5,7 @@
 
 mod aggregate;
 mod leaf;
+mod lobe_sums;
 pub mod node;
 mod order;
 mod packed;
@@ -22,6 +23,9 @@ use rayon::prelude::*;
 
 /// Most surfels of a leaf. PBGI §5: "less than e.g. 16 surfels".
 pub const LEAF_SURFEL_COUNT: usize = 16;
+
+/// Fewer nodes than this are not worth a thread.
+const FEW: usize = 32;
 
 /// An octree over a cloud, aggregated.
 ///

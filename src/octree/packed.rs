@@ -1,12 +1,15 @@
 //! [`Node`]s and [`Lobes`] as they are stored: a cache line a node.
 
+use super::FEW;
+use super::lobe_sums::{LobeSums, Rows};
 use super::node::{Lobes, Node};
 use crate::math::packing::{
     DIRECTION_ERROR, pack_color, pack_direction, power_of_two, rounded, unpack_color,
     unpack_direction,
 };
 use crate::math::sh::Sh9;
-use glam::Vec3;
+use glam::{Vec3, Vec4};
+use rayon::prelude::*;
 use std::f32::consts::PI;
 
 /// Mantissa bits of reflected power: 4e−6 of the largest channel.
@@ -146,36 +149,22 @@ struct PackedSeries {
 }
 
 impl PackedSeries {
-    fn of(series: &Sh9) -> Self {
-        let largest = series.0.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
+    /// One for each column of `rows`.
+    fn of(rows: &Rows) -> [Self; 4] {
+        let largest = rows
+            .iter()
+            .fold(Vec4::ZERO, |most, row| most.max(row.abs()));
         let scale = largest / SIGNED_STEPS;
-        let inverse = if scale > 0.0 { 1.0 / scale } else { 0.0 };
-        Self {
-            scale,
-            coefficients: series.0.map(|c| rounded(c * inverse)),
-        }
+        let inverse = Vec4::select(scale.cmpgt(Vec4::ZERO), scale.recip(), Vec4::ZERO);
+        let steps = rows.map(|row| (row * inverse).to_array().map(rounded));
+        std::array::from_fn(|column| Self {
+            scale: scale[column],
+            coefficients: steps.map(|row| row[column]),
+        })
     }
 
     fn unpack(&self) -> Sh9 {
         Sh9(self.coefficients.map(|c| f32::from(c) * self.scale))
-    }
-}
-
-/// Lobes of one spread node.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct PackedLobe {
-    shown: [PackedSeries; 4],
-    emitted: Option<[PackedSeries; 3]>,
-}
-
-impl PackedLobe {
-    pub(super) fn of(lobes: &Lobes) -> Self {
-        let [red, green, blue] = lobes.reflected.each_ref().map(PackedSeries::of);
-        let emits = lobes.emitted.iter().any(|series| series.0[0] > 0.0);
-        Self {
-            shown: [PackedSeries::of(&lobes.area), red, green, blue],
-            emitted: emits.then(|| lobes.emitted.each_ref().map(PackedSeries::of)),
-        }
     }
 }
 
@@ -192,11 +181,16 @@ impl PackedLobes {
         self.shown.len()
     }
 
-    pub(super) fn push(&mut self, lobe: &PackedLobe) {
-        let index = u32::try_from(self.shown.len()).expect("fewer nodes than surfels");
-        self.shown.push(lobe.shown);
-        self.emitted
-            .extend(lobe.emitted.map(|emitted| (index, emitted)));
+    /// Append those of spread nodes.
+    pub(super) fn append(&mut self, lobes: &[&LobeSums]) {
+        let places = u32::try_from(self.shown.len()).expect("fewer nodes than surfels")..;
+        let shown = lobes.par_iter().with_min_len(FEW);
+        (self.shown).par_extend(shown.map(|lobe| PackedSeries::of(&lobe.shown)));
+        let emitted = places.zip(lobes).filter_map(|(place, lobe)| {
+            let [_, channels @ ..] = PackedSeries::of(lobe.emitted.as_ref()?);
+            Some((place, channels))
+        });
+        self.emitted.extend(emitted);
     }
 
     pub(super) fn get(&self, index: u32) -> Lobes {
