@@ -15,7 +15,7 @@ mod triangles;
 mod wide;
 
 use crate::math::Bounds3;
-use crate::scene::{Mesh, PlacedMesh, Prim, PrimId, Scene};
+use crate::scene::{MeshId, PlacedMesh, Prim, PrimId, Scene};
 pub use beam::{Beam, TOGETHER, Way};
 pub use bodies::Bodies;
 use fearless_simd::{Level, Simd, dispatch};
@@ -297,25 +297,30 @@ impl Tracer {
 
 impl Group {
     fn new(scene: &Scene, prims: &[PrimId]) -> Self {
-        let mut corners = Vec::new();
-        let mut members = Vec::with_capacity(prims.len());
+        let mut members: Vec<Member> = Vec::with_capacity(prims.len());
+        let mut placed: Vec<PlacedMesh> = Vec::with_capacity(prims.len());
+        let mut count = 0_u32;
         for &prim in prims {
             let transform = scene.prims[prim.index()].world_from_object;
             if !transform.inverse().is_finite() {
                 continue;
             }
-            let first =
-                u32::try_from(corners.len()).expect("Wide::build holds at most 2^29 triangles");
             members.push(Member {
-                first,
+                first: count,
                 prim,
                 is_mirrored: transform.matrix3.determinant() < 0.0,
             });
-            let placed = PlacedMesh::of(scene, prim);
-            corners.extend((0..placed.triangle_count()).map(|t| placed.corners(t)));
+            let mesh = PlacedMesh::of(scene, prim);
+            let total = count.checked_add(mesh.triangle_count());
+            count = total.expect("Wide::build holds at most 2^29 triangles");
+            placed.push(mesh);
         }
+        let corners = |triangle: u32| {
+            let member = member_of(&members, triangle);
+            placed[member].corners(triangle - members[member].first)
+        };
         Self {
-            triangles: Triangles::new(&corners),
+            triangles: Triangles::new(count, &corners),
             members,
         }
     }
@@ -330,13 +335,18 @@ impl Group {
     /// The hit with its prim.
     #[inline(always)]
     fn resolve(&self, hit: LocalHit) -> Hit {
-        let after = (self.members).partition_point(|member| member.first <= hit.triangle);
-        let member = &self.members[after - 1];
+        let member = &self.members[member_of(&self.members, hit.triangle)];
         Hit {
             front: hit.front != member.is_mirrored,
             ..hit.of_prim(member.prim, hit.triangle - member.first)
         }
     }
+}
+
+/// Which of `members` has `triangle`.
+#[inline(always)]
+fn member_of(members: &[Member], triangle: u32) -> usize {
+    members.partition_point(|member| member.first <= triangle) - 1
 }
 
 impl LocalHit {
@@ -407,10 +417,6 @@ fn end_of(solid: Option<Hit>, max_distance: f32) -> f32 {
     solid.map_or(max_distance, |hit| hit.distance)
 }
 
-fn corners_of(mesh: &Mesh) -> impl Iterator<Item = [Vec3; 3]> {
-    (0..mesh.triangles.len()).map(|t| mesh.corners(t))
-}
-
 /// One hierarchy a mesh, in order of first use, and the prims that use them.
 fn build_shared(scene: &Scene, prims: &[PrimId]) -> (Vec<Triangles>, Vec<Occurrence>) {
     let mut slots = vec![None; scene.meshes.len()];
@@ -432,9 +438,11 @@ fn build_shared(scene: &Scene, prims: &[PrimId]) -> (Vec<Triangles>, Vec<Occurre
             object_from_world: rows_of(object_from_world),
         });
     }
-    let build = |mesh: &crate::scene::MeshId| -> Triangles {
-        let corners: Vec<_> = corners_of(&scene.meshes[mesh.index()]).collect();
-        Triangles::new(&corners)
+    let build = |mesh: &MeshId| {
+        let mesh = &scene.meshes[mesh.index()];
+        let count = u32::try_from(mesh.triangles.len());
+        let count = count.expect("triangles are numbered with 32 bits");
+        Triangles::new(count, &|t| mesh.corners(t as usize))
     };
     (meshes.par_iter().map(build).collect(), occurrences)
 }

@@ -12,13 +12,14 @@
 mod packet;
 
 use super::ray::{Line, Ray};
-use super::wide::{FARTHEST_FIRST, Item, LEAF_SIZE, Leaf, NEAREST_FIRST, Wide};
+use super::wide::{FARTHEST_FIRST, Item, LEAF_SIZE, Leaf, NEAREST_FIRST, NONE, Wide};
 use crate::math::Bounds3;
 use crate::math::bits::bits_of;
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x8, f64x4};
 use glam::Vec3;
 pub(super) use packet::PacketHits;
+use rayon::prelude::*;
 use std::ops::Deref;
 
 /// Boxes grow by this part of the largest coordinate, more than the roundings of their distances.
@@ -43,6 +44,9 @@ pub(super) fn item((index, bounds): (u32, Bounds3), margin: f32) -> Item {
         index,
     }
 }
+
+/// Fewer triangles or leaves are not worth a thread.
+const FEW: usize = 2048;
 
 /// Leaves that are tested against all rays of a beam; where they are not enough, each ray looks for itself.
 const MOST_LEAVES: usize = 12;
@@ -77,21 +81,17 @@ pub(super) struct Triangles {
 }
 
 impl Triangles {
-    /// Build over triangles given by their corners; those without area can never be hit.
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "Wide::build asserts the count"
-    )]
-    pub(super) fn new(corners: &[[Vec3; 3]]) -> Self {
-        let margin = margin_of(Bounds3::around(corners.iter().flatten().copied()));
-        let items = corners
-            .iter()
-            .enumerate()
-            .map(|(index, corners)| item((index as u32, Bounds3::around(*corners)), margin));
-        let tree = Wide::build(items);
-        let blocks = (tree.order.chunks_exact(LEAF_SIZE))
-            .map(|lanes| Block::new(lanes, corners))
-            .collect();
+    /// Build over the triangles below `count` by their `corners`, which are asked for twice and kept nowhere else; those
+    /// without area can never be hit.
+    pub(super) fn new(count: u32, corners: &(impl Fn(u32) -> [Vec3; 3] + Sync)) -> Self {
+        let all = || (0..count).into_par_iter().with_min_len(FEW);
+        let around = |index| Bounds3::around(corners(index));
+        let finite = |bounds: &Bounds3| bounds.min.is_finite() && bounds.max.is_finite();
+        let whole = (all().map(around).filter(finite)).reduce(|| Bounds3::EMPTY, Bounds3::union);
+        let margin = margin_of(whole);
+        let tree = Wide::build_at_once(all().map(|index| item((index, around(index)), margin)));
+        let leaves = tree.order.par_chunks_exact(LEAF_SIZE).with_min_len(FEW);
+        let blocks = leaves.map(|lanes| Block::new(lanes, corners)).collect();
         Self { tree, blocks }
     }
 
@@ -240,13 +240,14 @@ struct Sheared<S: Simd> {
 }
 
 impl Block {
-    fn new(lanes: &[u32], triangles: &[[Vec3; 3]]) -> Self {
+    /// Of a leaf's triangles, [`NONE`] where there is none.
+    fn new(lanes: &[u32], corners_of: &impl Fn(u32) -> [Vec3; 3]) -> Self {
         let mut corners = [[[f32::NAN; LEAF_SIZE]; 3]; 3];
         for (lane, &index) in lanes.iter().enumerate() {
-            let Some(triangle) = triangles.get(index as usize) else {
+            if index == NONE {
                 continue;
-            };
-            for (corner, position) in triangle.iter().enumerate() {
+            }
+            for (corner, position) in corners_of(index).iter().enumerate() {
                 for axis in 0..3 {
                     corners[corner][axis][lane] = position[axis];
                 }

@@ -34,6 +34,9 @@ pub(super) struct Item {
     pub(super) index: u32,
 }
 
+/// Stands for no item where a leaf has fewer than [`LEAF_SIZE`].
+pub(super) const NONE: u32 = u32::MAX;
+
 /// Child references: inner node index, or `LEAF | block << 2 | count - 1`, or `EMPTY`.
 const LEAF: u32 = 1 << 31;
 const EMPTY: u32 = u32::MAX >> 1;
@@ -74,7 +77,7 @@ struct Node {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Wide {
     nodes: Vec<Node>,
-    /// Item indices (`Item::index`) in leaf order; `u32::MAX` pads every leaf to `LEAF_SIZE`.
+    /// Item indices (`Item::index`) in leaf order; [`NONE`] pads every leaf to `LEAF_SIZE`.
     pub(super) order: Vec<u32>,
 }
 

@@ -4,7 +4,7 @@
 //! coplanar axis-aligned boxes compact, and no step uses an absolute tolerance.
 
 use super::extent::{Bound, Extent};
-use super::{EMPTY, Item, LEAF, LEAF_SIZE, Node, WIDTH, Wide, leaf_reference};
+use super::{EMPTY, Item, LEAF, LEAF_SIZE, NONE, Node, WIDTH, Wide, leaf_reference};
 use glam::Vec4;
 use rayon::prelude::*;
 
@@ -24,7 +24,7 @@ const SAMPLE: usize = 1024;
 #[derive(Default)]
 struct Subtree {
     nodes: Vec<Node>,
-    /// Leaves' items, each leaf padded to [`LEAF_SIZE`] by `u32::MAX`.
+    /// Leaves' items, each leaf padded to [`LEAF_SIZE`] by [`NONE`].
     order: Vec<u32>,
 }
 
@@ -51,9 +51,18 @@ impl Wide {
     /// # Panics
     /// With more than 2^29 items.
     pub(in crate::trace) fn build(items: impl IntoIterator<Item = Item>) -> Self {
-        let finite = |item: &Item| item.bounds.min.is_finite() && item.bounds.max.is_finite();
-        let items = items.into_iter().filter(finite);
-        let mut bounds: Vec<Bound> = items.map(Bound::of).collect();
+        Self::over(items.into_iter().map(Bound::of).collect())
+    }
+
+    /// [`Self::build`] over items that are made by all threads.
+    pub(in crate::trace) fn build_at_once(
+        items: impl IndexedParallelIterator<Item = Item>,
+    ) -> Self {
+        Self::over(items.map(Bound::of).collect())
+    }
+
+    fn over(mut bounds: Vec<Bound>) -> Self {
+        bounds.retain(Bound::is_finite);
         assert!(
             bounds.len() < 1 << 29,
             "a hierarchy holds at most 2^29 items"
@@ -61,7 +70,8 @@ impl Wide {
         if bounds.is_empty() {
             return Self::default();
         }
-        let extent = Extent::around(&bounds);
+        let extents = (bounds.par_chunks(PARALLEL_ITEMS)).map(Extent::around);
+        let extent = extents.reduce(|| Extent::EMPTY, Extent::union);
         let mut tree = Subtree::default();
         tree.grow(&mut bounds, extent, 0);
         Self {
@@ -113,7 +123,7 @@ impl Subtree {
             return;
         }
         let first = self.order.len();
-        self.order.resize(first + LEAF_SIZE, u32::MAX);
+        self.order.resize(first + LEAF_SIZE, NONE);
         for (slot, item) in self.order[first..].iter_mut().zip(items) {
             *slot = item.index();
         }

@@ -23,6 +23,11 @@ impl Bound {
         }
     }
 
+    /// True if the box is: the index always is a finite number.
+    pub(super) fn is_finite(&self) -> bool {
+        self.low.is_finite() && self.high.is_finite()
+    }
+
     pub(super) fn index(&self) -> u32 {
         self.low.w.to_bits() - NORMAL
     }
@@ -70,6 +75,16 @@ impl Extent {
         self.high = self.high.max(item.high);
         self.low_center = self.low_center.min(center);
         self.high_center = self.high_center.max(center);
+    }
+
+    /// Of both.
+    pub(super) fn union(self, other: Self) -> Self {
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+            low_center: self.low_center.min(other.low_center),
+            high_center: self.high_center.max(other.high_center),
+        }
     }
 
     pub(super) fn half_area(&self) -> f32 {

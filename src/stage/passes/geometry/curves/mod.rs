@@ -17,6 +17,7 @@ use crate::diagnostics::Diagnostics;
 use crate::scene::{Interpolation, Mesh, Normals, Primvar};
 use basis::{Form, Order, Place};
 use glam::{DVec3, Vec3, Vec4};
+use rayon::prelude::*;
 use spline::Spline;
 use std::ops::Range;
 use strand::{Station, Strands};
@@ -33,8 +34,14 @@ const COARSENING: f64 = 8.0;
 /// No depth below this part of the largest radius makes a finer tube.
 const FINEST_PLAN: f64 = 1e-4;
 
+/// Curves cut by one task.
+const CURVES_A_TASK: usize = 256;
+
+/// Curves cut before what they became is put together.
+const CURVES_HELD: usize = 128 * CURVES_A_TASK;
+
 /// Pieces of one segment, at most.
-const MAX_PIECES: usize = 64;
+const MAX_PIECES: u8 = 64;
 
 /// A piece is no flatter an approximation than this part of its segment's length is deep, however small the curve.
 const PIECE_DEPTH: f64 = 0.02;
@@ -112,15 +119,36 @@ impl<'a> Curves<'a> {
     /// most, unless the curves are too many for that.
     pub(super) fn tessellate(self, depth: f64) -> (Mesh, DVec3) {
         let plan = self.affordable_plan(depth);
-        let mut strands = Strands::default();
+        let shapes: Vec<_> = self.curves.iter().zip(plan.shapes()).collect();
+        let mut strands = Strands::with_capacity(plan.vertices, plan.triangles);
         let mut values: Vec<Vec<Vec4>> = vec![Vec::new(); self.body.primvars.len()];
-        for (curve, shape) in self.curves.iter().zip(&plan.shapes) {
-            let places = self.places(curve, shape.pieces);
+        for shapes in shapes.chunks(CURVES_HELD) {
+            let parts = shapes.par_chunks(CURVES_A_TASK);
+            let parts: Vec<_> = parts.map(|shapes| self.cut(shapes)).collect();
+            for (part, part_values) in parts {
+                strands.append(part);
+                for (all, part) in values.iter_mut().zip(part_values) {
+                    all.extend(part);
+                }
+            }
+        }
+        let mut all = self.curves.iter();
+        let is_closed = all.all(|curve| curve.spline.is_closed()) && self.body.normals.is_none();
+        let center = self.body.center;
+        (self.finish(strands, values, is_closed), center)
+    }
+
+    /// The triangles of some curves, and the primvars' values at their vertices.
+    fn cut(&self, shapes: &[(&Curve, (usize, &[u8]))]) -> (Strands, Vec<Vec<Vec4>>) {
+        let mut strands = Strands::default();
+        let mut values = vec![Vec::new(); self.body.primvars.len()];
+        for &(curve, (sides, pieces)) in shapes {
+            let places = places(curve, pieces);
             let stations: Vec<_> = places.iter().map(|&at| self.station(curve, at)).collect();
             let is_closed = curve.spline.is_closed();
             let width = match self.body.normals {
                 Some(_) => strands.add_ribbon(&stations, is_closed, curve.number),
-                None => strands.add_tube(&stations, is_closed, (curve.number, shape.sides)),
+                None => strands.add_tube(&stations, is_closed, (curve.number, sides)),
             };
             for (primvar, values) in self.body.primvars.iter().zip(&mut values) {
                 if spreads(primvar.layout) {
@@ -131,10 +159,7 @@ impl<'a> Curves<'a> {
                 }
             }
         }
-        let mut all = self.curves.iter();
-        let is_closed = all.all(|curve| curve.spline.is_closed()) && self.body.normals.is_none();
-        let center = self.body.center;
-        (self.finish(strands, values, is_closed), center)
+        (strands, values)
     }
 
     fn finish(self, strands: Strands, values: Vec<Vec<Vec4>>, closed: bool) -> Mesh {
@@ -176,35 +201,38 @@ impl<'a> Curves<'a> {
 
     /// How every curve is cut at `depth`.
     fn plan(&self, depth: f64) -> Plan {
-        let shape = |curve: &Curve| {
+        let parts = self.curves.par_chunks(CURVES_A_TASK);
+        let parts = parts.map(|curves| self.plan_of(curves, depth));
+        let mut plan = Plan::default();
+        for part in parts.collect::<Vec<_>>() {
+            plan.append(part);
+        }
+        plan
+    }
+
+    fn plan_of(&self, curves: &[Curve], depth: f64) -> Plan {
+        let mut plan = Plan::default();
+        for curve in curves {
             let radius = (0..curve.segments)
                 .flat_map(|segment| [0.0, 0.5, 1.0].map(|t| Place { segment, t }))
                 .map(|at| self.radius(curve, at))
                 .fold(0.0, f64::max);
-            let segments = (0..curve.segments).map(|segment| self.pieces(curve, segment, depth));
-            Shape {
-                pieces: segments.max().unwrap_or(1),
-                sides: strand::sides(radius, depth),
-            }
-        };
-        let shapes: Vec<Shape> = self.curves.iter().map(shape).collect();
-        let sides = |shape: &Shape| {
-            if self.body.normals.is_some() {
-                1
-            } else {
-                shape.sides
-            }
-        };
-        let all = self.curves.iter().zip(&shapes);
-        let triangles = all.map(|(curve, shape)| 2 * curve.segments * shape.pieces * sides(shape));
-        Plan {
-            triangles: triangles.sum(),
-            shapes,
+            let sides = strand::sides(radius, depth);
+            let first = plan.pieces.len();
+            let pieces = |segment| self.pieces(curve, segment, depth);
+            plan.pieces.extend((0..curve.segments).map(pieces));
+            let all: usize = plan.pieces[first..].iter().map(|&n| usize::from(n)).sum();
+            let is_flat = self.body.normals.is_some();
+            plan.triangles += 2 * all * if is_flat { 1 } else { sides };
+            plan.vertices += (all + 1) * if is_flat { 2 } else { sides };
+            plan.sides.push(sides);
+            plan.ends.push(plan.pieces.len());
         }
+        plan
     }
 
     /// Pieces that `segment` is cut into: a chord over 1/n of it is |second derivative| / 8n² deep at most.
-    fn pieces(&self, curve: &Curve, segment: usize, depth: f64) -> usize {
+    fn pieces(&self, curve: &Curve, segment: usize, depth: f64) -> u8 {
         let at = |t: f64, order| self.sum(curve, Place { segment, t }, order);
         let bends = curve.spline.bends().iter();
         let bend = bends
@@ -217,28 +245,10 @@ impl<'a> Curves<'a> {
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
-            reason = "clamped; a NaN (a segment without length) becomes 0"
+            reason = "casts of floats saturate; a NaN (a segment without length) becomes 0"
         )]
-        let pieces = pieces.clamp(0.0, 64.0) as usize;
+        let pieces = pieces as u8;
         pieces.clamp(1, MAX_PIECES)
-    }
-
-    /// Where rings are drawn: the ends of all pieces, each once.
-    fn places(&self, curve: &Curve, pieces: usize) -> Vec<Place> {
-        let mut all = Vec::with_capacity(curve.segments * pieces + 1);
-        for segment in 0..curve.segments {
-            all.extend((0..pieces).map(|piece| Place {
-                segment,
-                t: as_f64(piece) / as_f64(pieces),
-            }));
-        }
-        if !curve.spline.is_closed() {
-            all.push(Place {
-                segment: curve.segments - 1,
-                t: 1.0,
-            });
-        }
-        all
     }
 
     fn station(&self, curve: &Curve, at: Place) -> Station {
@@ -297,17 +307,57 @@ impl<'a> Curves<'a> {
     }
 }
 
-/// See [`Curves::plan`].
+/// How every curve of a prim is cut.
+#[derive(Debug, Default)]
 struct Plan {
-    shapes: Vec<Shape>,
+    /// Of every tube.
+    sides: Vec<usize>,
+    /// Where the segments of every curve end in `pieces`.
+    ends: Vec<usize>,
+    /// Of every segment of every curve.
+    pieces: Vec<u8>,
     triangles: usize,
+    /// At most.
+    vertices: usize,
 }
 
-struct Shape {
-    /// Of every segment.
-    pieces: usize,
-    /// Of the tube.
-    sides: usize,
+impl Plan {
+    /// Add what comes behind.
+    fn append(&mut self, behind: Self) {
+        let first = self.pieces.len();
+        self.sides.extend(behind.sides);
+        self.ends.extend(behind.ends.iter().map(|end| first + end));
+        self.pieces.extend(behind.pieces);
+        self.triangles += behind.triangles;
+        self.vertices += behind.vertices;
+    }
+
+    /// Of every curve, the sides and the pieces of its segments.
+    fn shapes(&self) -> impl Iterator<Item = (usize, &[u8])> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        let ranges = starts.zip(&self.ends).map(|(start, &end)| start..end);
+        let pieces = ranges.map(|range| &self.pieces[range]);
+        self.sides.iter().copied().zip(pieces)
+    }
+}
+
+/// Where rings are drawn: the ends of all `pieces` of the segments, each once.
+fn places(curve: &Curve, pieces: &[u8]) -> Vec<Place> {
+    let rings: usize = pieces.iter().map(|&n| usize::from(n)).sum();
+    let mut all = Vec::with_capacity(rings + 1);
+    for (segment, &pieces) in pieces.iter().enumerate() {
+        all.extend((0..pieces).map(|piece| Place {
+            segment,
+            t: f64::from(piece) / f64::from(pieces),
+        }));
+    }
+    if !curve.spline.is_closed() {
+        all.push(Place {
+            segment: curve.segments - 1,
+            t: 1.0,
+        });
+    }
+    all
 }
 
 /// True for values that change along a curve.
@@ -367,11 +417,6 @@ fn split(counts: &[i32], splines: Vec<Result<Spline, String>>) -> (Vec<Curve>, u
         first_point += count;
     }
     (curves, first_varying)
-}
-
-#[expect(clippy::cast_precision_loss, reason = "counts of pieces")]
-fn as_f64(count: usize) -> f64 {
-    count as f64
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "weights are of order 1")]

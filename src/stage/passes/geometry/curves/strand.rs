@@ -48,6 +48,25 @@ pub(super) struct Strands {
 }
 
 impl Strands {
+    pub(super) fn with_capacity(vertices: usize, triangles: usize) -> Self {
+        Self {
+            positions: Vec::with_capacity(vertices),
+            normals: Vec::with_capacity(vertices),
+            triangles: Vec::with_capacity(triangles),
+            curves: Vec::with_capacity(triangles),
+        }
+    }
+
+    /// Add `others` behind.
+    pub(super) fn append(&mut self, others: Self) {
+        let first = index(self.positions.len());
+        self.positions.extend(others.positions);
+        self.normals.extend(others.normals);
+        let moved = others.triangles.iter().map(|t| t.map(|at| first + at));
+        self.triangles.extend(moved);
+        self.curves.extend(others.curves);
+    }
+
     /// A prism of `sides` around the line, with the girth of the round tube, ends open; the number of vertices of every
     /// station.
     pub(super) fn add_tube(
