@@ -37,8 +37,8 @@ const LEAST_LEFT: f64 = 0.25;
 /// Rays that light a finer cloud, over those of the run, that are worth trying where it is in doubt whether it is needed.
 const WORTH: f64 = 0.25;
 
-/// Power of the number of surfels that the share of hits lit anew falls with, at least (measured, from 20 000 to 300 000:
-/// chessmen 0.27, hair 0.17, leaves 0.16).
+/// Power of the number of surfels that the share of hits nearer than a few radii falls with, at least (measured, from 20 000
+/// to 300 000: scan 0.53, chessmen 0.27, hair 0.17, leaves 0.16).
 const SHARE_LAW: f64 = 0.15;
 
 /// Surfels that are fine enough give way to finer ones that bring down the rays of the run to this part, with their own:
@@ -52,41 +52,91 @@ const SKY_RAYS_A_DIRECTION: f64 = 0.25;
 const SKY_RAYS_A_HIT: f64 = 4.0;
 const LIGHT_RAYS: f64 = 1.0;
 
-/// Fewest rays of a run.
+/// Fewest rays of a receiver, and most.
 const FEWEST_RAYS: f64 = 16.0;
+const MOST_RAYS: f64 = 1e6;
 
 /// Power of the rays that the square of a pattern's error falls with (measured: 64 to 4096 rays), and that of noise at
-/// hits.
+/// hits. Few hits may make most of the noise: one in 25 asked for 9900 rays on a scan under a sky with small bright areas.
 const PATTERN_LAW: f64 = 1.5;
 const HITS_LAW: f64 = 1.0;
 
 /// What surfels leave, and how it comes to that.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 struct Judged {
     errors: Vec<f64>,
     /// What of them is beyond doubt: surfels are not to blame for the rest, which would make the run dear.
     sure: Vec<f64>,
     relit: Relit,
-    /// Rays that a receiver of the run needs.
-    rays: f64,
+    /// What rays leave in each of the run's AOVs that bind it.
+    noise: Vec<Noise>,
     /// Share of them whose hits are lit anew.
     relit_share: f64,
 }
 
+/// Squares of what rays err by, over those of the tolerance, if a receiver had one ray.
+#[derive(Debug, Clone, Copy, Default)]
+struct Noise {
+    /// Of the pattern.
+    pattern: f64,
+    /// Of light found anew at hits.
+    hits: f64,
+}
+
+impl Noise {
+    /// By two parts found with so many `rays`: all of the square, and that of the pattern.
+    fn of((all, pattern): (f64, f64), rays: f64) -> Self {
+        Self {
+            pattern: pattern.min(all) * rays.powf(PATTERN_LAW),
+            hits: (all - pattern).max(0.0) * rays.powf(HITS_LAW),
+        }
+    }
+
+    /// What so many rays leave.
+    fn left_by(&self, rays: f64) -> f64 {
+        self.pattern * rays.powf(-PATTERN_LAW) + self.hits * rays.powf(-HITS_LAW)
+    }
+
+    /// Rays that leave the square of `allowed`, of the tolerance.
+    fn rays_for(&self, allowed: f64) -> f64 {
+        let (mut few, mut many) = (FEWEST_RAYS, MOST_RAYS);
+        if self.left_by(few) <= allowed * allowed {
+            return few;
+        }
+        while many > 1.001 * few {
+            let middle = (few * many).sqrt();
+            if self.left_by(middle) <= allowed * allowed {
+                many = middle;
+            } else {
+                few = middle;
+            }
+        }
+        many
+    }
+}
+
 impl Judged {
-    /// What is to be expected of `growth` times as many surfels.
-    fn of_finer(&self, growth: f64) -> Self {
-        let less = |errors: &[f64]| {
-            (errors.iter())
-                .map(|e| e * growth.powf(-0.5 * LAW))
-                .collect()
+    /// What is to be expected of `growth` times as many surfels, if the share of hits lit anew falls with that power of them.
+    fn of_finer(&self, growth: f64, share_law: f64) -> Self {
+        let (error, share) = (growth.powf(-0.5 * LAW), growth.powf(-share_law));
+        let less = |errors: &[f64]| errors.iter().map(|all| all * error).collect();
+        let noise = |one: &Noise| Noise {
+            hits: one.hits * share,
+            ..*one
         };
         Self {
             errors: less(&self.errors),
             sure: less(&self.sure),
-            relit_share: self.relit_share * growth.powf(-SHARE_LAW),
-            ..*self
+            relit: self.relit,
+            noise: self.noise.iter().map(noise).collect(),
+            relit_share: self.relit_share * share,
         }
+    }
+
+    /// Rays of a receiver that leave the square of `allowed`, of the tolerance, in all AOVs.
+    fn rays_for(&self, allowed: f64) -> f64 {
+        let rays = self.noise.iter().map(|noise| noise.rays_for(allowed));
+        rays.fold(FEWEST_RAYS, f64::max)
     }
 }
 
@@ -184,19 +234,24 @@ impl Ladder<'_> {
         best.unwrap_or_default()
     }
 
-    /// How many surfels are tried after `count` of them that were `judged`, and rays with these: as many as are good enough, or
-    /// the most that are tried next, whichever takes fewer.
+    /// How many surfels are tried after `count` of them that were `judged`, and rays with these, if they are good enough: as many
+    /// as that takes, or the most that are tried next, whichever takes fewer rays.
     fn finer(&self, judged: &[Judged], count: usize) -> (usize, f64) {
         let read = judged.iter().filter(|one| one.relit != Relit::All);
-        let rays = read.flat_map(|one| {
+        let candidates = read.zip(share_laws(judged)).flat_map(|(one, share_law)| {
             [self.worst(&one.errors), f64::INFINITY].map(|excess| {
                 let next = more(count, excess);
-                let finer = one.of_finer(next as f64 / count.max(1) as f64);
-                (next, self.rays_of_dicing(next) + self.rays_of_run(&finer))
+                let finer = one.of_finer(next as f64 / count.max(1) as f64, share_law);
+                let rays = self.rays_of_dicing(next) + self.rays_of_run(&finer);
+                (next, rays, self.worst(&finer.errors) <= 1.0)
             })
         });
-        rays.min_by(|a, b| a.1.total_cmp(&b.1))
-            .unwrap_or((count, f64::INFINITY))
+        let best = candidates.min_by(|a, b| b.2.cmp(&a.2).then(a.1.total_cmp(&b.1)));
+        match best {
+            Some((next, rays, true)) => (next, rays),
+            Some((next, ..)) => (next, f64::INFINITY),
+            None => (count, f64::INFINITY),
+        }
     }
 
     /// Surfels to begin with.
@@ -222,10 +277,8 @@ impl Ladder<'_> {
     fn rays_of_run(&self, judged: &Judged) -> f64 {
         let error = self.worst(&judged.errors) * self.allowed / self.tolerance;
         let left = (1.0 - error * error).max(LEAST_LEFT).sqrt();
-        let more = (RAYS_SHARE / left).max(1.0);
-        let more = more.powf(2.0 / law_of_squares(judged.relit_share));
         let of_hits = judged.relit_share * self.rays_of_hit();
-        self.receivers as f64 * judged.rays * more * (1.0 + of_hits)
+        self.receivers as f64 * judged.rays_for(left.min(RAYS_SHARE)) * (1.0 + of_hits)
     }
 
     /// Rays that light a hit anew.
@@ -242,7 +295,62 @@ impl Ladder<'_> {
     }
 }
 
-/// Power of the rays that squared errors fall with where light is found anew in the hits of `relit_share`.
-fn law_of_squares(relit_share: f64) -> f64 {
-    PATTERN_LAW + (HITS_LAW - PATTERN_LAW) * relit_share
+/// Powers of the number of surfels that the share of hits lit anew falls with, in the order of [`NEAR_RADII`]. That of hits
+/// within the most radii becomes that within the fewest, where surfels are as much smaller; and nearer to surfaces it falls faster.
+fn share_laws(judged: &[Judged]) -> [f64; NEAR_RADII.len()] {
+    let [fewest, most] = NEAR_RADII;
+    let [near, far, ..] = judged else {
+        return [SHARE_LAW; 2];
+    };
+    let spans = 2.0 * f64::from(most / fewest).ln();
+    let law = (far.relit_share / near.relit_share).ln() / spans;
+    let law = if law.is_finite() { law } else { SHARE_LAW };
+    [law.max(SHARE_LAW), law]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rays_leave_what_is_allowed_of_noise_of_either_kind() {
+        let only = |pattern, hits| Noise::of((pattern + hits, pattern), 256.0);
+        // A square sixteen times too large.
+        assert!((only(0.16, 0.0).rays_for(0.1) / 256.0 - 16_f64.powf(1.0 / 1.5)).abs() < 0.01);
+        assert!((only(0.0, 0.16).rays_for(0.1) / 256.0 - 16.0).abs() < 0.1);
+        let both = only(0.08, 0.08);
+        assert!((both.left_by(both.rays_for(0.1)) / 0.01 - 1.0).abs() < 0.01);
+        assert_eq!(only(0.0, 0.0).rays_for(0.1), FEWEST_RAYS);
+        assert!(only(1e9, 1e9).rays_for(1e-3) >= MOST_RAYS / 1.001);
+    }
+
+    fn judged(relit_share: f64) -> Judged {
+        Judged {
+            errors: vec![0.04],
+            sure: vec![0.02],
+            relit: Relit::default(),
+            noise: vec![Noise::of((0.16, 0.08), 256.0)],
+            relit_share,
+        }
+    }
+
+    #[test]
+    fn finer_surfels_are_expected_to_err_less_and_leave_fewer_hits_to_light() {
+        let judged = judged(0.4);
+        let finer = judged.of_finer(16.0, 0.25);
+        assert!((finer.errors[0] - 0.01).abs() < 1e-9 && finer.sure[0] < 0.0051);
+        assert!((finer.relit_share - 0.2).abs() < 1e-9);
+        assert!(finer.rays_for(0.1) < judged.rays_for(0.1));
+    }
+
+    #[test]
+    fn surfels_of_a_quarter_of_the_radius_leave_far_what_was_near() {
+        let [near, far] = [0.3, 0.5].map(judged);
+        let [law_near, law_far] = share_laws(&[near, far.clone()]);
+        assert!((far.of_finer(16.0, law_far).relit_share - 0.3).abs() < 1e-9);
+        assert_eq!(law_near, SHARE_LAW);
+        for known in [vec![], vec![judged(0.3)], vec![judged(0.0), judged(0.0)]] {
+            assert_eq!(share_laws(&known), [SHARE_LAW; 2]);
+        }
+    }
 }

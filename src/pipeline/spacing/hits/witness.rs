@@ -3,7 +3,7 @@
 use super::super::super::Error;
 use super::super::super::gather::{errors_of_surfels, read_surfels, relight};
 use super::super::{Ladder, Relit, is_measured, judged_as};
-use super::{FEWEST_RAYS, Judged, RAYS_SHARE, law_of_squares};
+use super::{Judged, Noise};
 use crate::bake::Baked;
 use crate::bounce::Bounces;
 use crate::diagnostics::Diagnostics;
@@ -66,6 +66,8 @@ pub(super) struct Witness<'a> {
     rays: f64,
     /// Mean magnitude of what each AOV of the run is judged as.
     means: Vec<f64>,
+    /// Two sets with no hit lit anew, by the cloud judged last.
+    patterns: Vec<Values>,
     /// Two sets with all hits lit anew, once asked for: the same for all clouds.
     at_hits: Vec<Values>,
 }
@@ -84,6 +86,7 @@ impl<'a> Witness<'a> {
                 .clamp(RAYS.0, RAYS.1)
                 .round(),
             means: Vec::new(),
+            patterns: Vec::new(),
             at_hits: Vec::new(),
         }
     }
@@ -101,12 +104,14 @@ impl<'a> Witness<'a> {
             self.measure_means(&by_surfels, diagnostics)?;
         }
         let reads = self.two_sets(&by_surfels, diagnostics)?;
+        let unlit = read_surfels(baked, self.ladder.world, (Bounces::Count(1), 0.0));
+        self.patterns = self.two_sets(&unlit, diagnostics)?;
         let relit_share = self.relit_share(&by_surfels);
         let unjudged = Judged {
             errors: Vec::new(),
             sure: Vec::new(),
             relit: Relit::Near(near_radii),
-            rays: self.rays_needed(&reads, relit_share),
+            noise: self.noise(&reads),
             relit_share,
         };
         let worth = JUDGING * self.ladder.rays_of_run(&unjudged);
@@ -189,7 +194,7 @@ impl<'a> Witness<'a> {
             errors: Vec::new(),
             sure: Vec::new(),
             relit: Relit::All,
-            rays: self.rays_needed(&self.at_hits, relit_share),
+            noise: self.noise(&self.at_hits),
             relit_share,
         }))
     }
@@ -226,22 +231,24 @@ impl<'a> Witness<'a> {
         self.carriers.iter().position(is_told)
     }
 
-    /// Rays that bring the noise of `sets`, the first two of which are looked at, down to what the tolerance leaves for them;
-    /// in the hits of `relit_share` light is found anew.
-    fn rays_needed(&self, sets: &[Values], relit_share: f64) -> f64 {
-        let [a, b, ..] = sets else {
-            return FEWEST_RAYS;
-        };
-        let allowed = RAYS_SHARE * self.ladder.tolerance;
-        let law = law_of_squares(relit_share);
-        let needed = |(&aov, &mean): (&Aov, &f64)| {
-            let c = self.carrier_index(aov)?;
-            let noise = relative(rms_difference(&a[c], &b[c]), mean) / SQRT_2;
-            Some(self.rays * (noise / allowed).powf(2.0 / law))
+    /// What rays leave in each of the run's AOVs that bind it: the first two of `sets` differ by all of it, those that find no
+    /// light anew by the pattern's alone.
+    fn noise(&self, sets: &[Values]) -> Vec<Noise> {
+        let square = |sets: &[Values], c: usize, mean: f64| match sets {
+            [a, b, ..] => {
+                let noise = relative(rms_difference(&a[c], &b[c]), mean) / SQRT_2;
+                (noise / self.ladder.tolerance).powi(2)
+            }
+            _ => 0.0,
         };
         let aovs = self.ladder.aovs.iter().zip(&self.means);
         let bound = aovs.take(self.ladder.bound);
-        bound.filter_map(needed).fold(FEWEST_RAYS, f64::max)
+        let noise = |(&aov, &mean): (&Aov, &f64)| {
+            let c = self.carrier_index(aov)?;
+            let [all, pattern] = [sets, &self.patterns].map(|sets| square(sets, c, mean));
+            Some(Noise::of((all, pattern), self.rays))
+        };
+        bound.filter_map(noise).collect()
     }
 
     /// Two sets by `source`.
