@@ -54,7 +54,7 @@ const LIGHT_RAYS: f64 = 1.0;
 
 /// Fewest rays of a receiver, and most.
 const FEWEST_RAYS: f64 = 16.0;
-const MOST_RAYS: f64 = 1e6;
+const LIMIT_OF_RAYS: f64 = 1e6;
 
 /// Power of the rays that the square of a pattern's error falls with (measured: 64 to 4096 rays), and that of noise at
 /// hits. Few hits may make most of the noise: one in 25 asked for 9900 rays on a scan under a sky with small bright areas.
@@ -70,7 +70,7 @@ struct Judged {
     relit: Relit,
     /// What rays leave in each of the run's AOVs that bind it.
     noise: Vec<Noise>,
-    /// Share of them whose hits are lit anew.
+    /// Share of rays whose hits are lit anew.
     relit_share: f64,
 }
 
@@ -99,7 +99,7 @@ impl Noise {
 
     /// Rays that leave the square of `allowed`, of the tolerance.
     fn rays_for(&self, allowed: f64) -> f64 {
-        let (mut few, mut many) = (FEWEST_RAYS, MOST_RAYS);
+        let (mut few, mut many) = (FEWEST_RAYS, LIMIT_OF_RAYS);
         if self.left_by(few) <= allowed * allowed {
             return few;
         }
@@ -321,7 +321,7 @@ mod tests {
         let both = only(0.08, 0.08);
         assert!((both.left_by(both.rays_for(0.1)) / 0.01 - 1.0).abs() < 0.01);
         assert_eq!(only(0.0, 0.0).rays_for(0.1), FEWEST_RAYS);
-        assert!(only(1e9, 1e9).rays_for(1e-3) >= MOST_RAYS / 1.001);
+        assert!(only(1e9, 1e9).rays_for(1e-3) >= LIMIT_OF_RAYS / 1.001);
     }
 
     fn judged(relit_share: f64) -> Judged {
@@ -348,7 +348,8 @@ mod tests {
         let [near, far] = [0.3, 0.5].map(judged);
         let [law_near, law_far] = share_laws(&[near, far.clone()]);
         assert!((far.of_finer(16.0, law_far).relit_share - 0.3).abs() < 1e-9);
-        assert_eq!(law_near, SHARE_LAW);
+        assert_eq!(law_near, law_far, "near hits fall no slower than far ones");
+        assert_eq!(share_laws(&[judged(0.45), judged(0.5)])[0], SHARE_LAW);
         for known in [vec![], vec![judged(0.3)], vec![judged(0.0), judged(0.0)]] {
             assert_eq!(share_laws(&known), [SHARE_LAW; 2]);
         }
