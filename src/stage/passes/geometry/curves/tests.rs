@@ -106,6 +106,45 @@ fn a_bent_tube_follows_the_curve_as_closely_as_asked() {
 }
 
 #[test]
+fn each_segment_has_the_pieces_that_it_needs_in_each_of_many_curves() {
+    let bent = [Vec3::ZERO, Vec3::Y, Vec3::new(1.0, 1.0, 0.0), Vec3::X];
+    let straight = [2.0, 3.0, 4.0].map(|x| Vec3::X * x);
+    let form = ["cubic", "bezier", "nonperiodic"];
+    let triangles = |points: &[Vec3], count: usize| {
+        let [per_curve, all] = [points.len(), count * points.len()];
+        let counts = vec![i32::try_from(per_curve).unwrap(); count];
+        let prim = curves(form, &counts, &points.repeat(count));
+        let prim = with_attribute(prim, "widths", widths(all, 0.02), None);
+        mesh(&prim, 1e-3)
+    };
+    let (one, two) = (
+        triangles(&bent, 1),
+        triangles(&[&bent[..], &straight].concat(), 1),
+    );
+    let a_piece = 2 * strand::sides(0.01, 1e-3);
+    assert!(one.triangles.len() > 4 * a_piece);
+    assert_eq!(
+        two.triangles.len(),
+        one.triangles.len() + a_piece,
+        "straight"
+    );
+    // More than one task cuts.
+    let count = 2 * CURVES_A_TASK + 7;
+    let many = triangles(&bent, count);
+    let (vertices, pieces) = (one.positions.len(), one.triangles.len());
+    assert_eq!(many.triangles.len(), count * pieces);
+    for (i, triangle) in many.triangles.iter().enumerate() {
+        let first = u32::try_from(i / pieces * vertices).unwrap();
+        assert_eq!(*triangle, one.triangles[i % pieces].map(|at| first + at));
+        assert_eq!(many.triangle_faces[i] as usize, i / pieces);
+    }
+    for (i, position) in many.positions.iter().enumerate() {
+        // About another center.
+        assert!(position.distance(one.positions[i % vertices]) < 1e-6);
+    }
+}
+
+#[test]
 fn a_periodic_curve_is_a_closed_ring() {
     let corners = [Vec3::X, Vec3::Y, -Vec3::X, -Vec3::Y].map(|p| 3.0 * p);
     for basis in ["bspline", "catmullRom"] {
