@@ -62,9 +62,9 @@ pub(super) struct Aggregate {
 pub(super) fn aggregate(levels: &[Vec<Cell>], surfels: &LeafSurfels) -> Aggregate {
     let mut whole = Aggregate::default();
     let mut nodes_of_level: Vec<Vec<PackedNode>> = Vec::with_capacity(levels.len());
-    (whole.nodes).reserve_exact(levels.iter().map(Vec::len).sum());
     let mut below: Vec<Part> = Vec::new();
     let mut first_below: usize = levels.iter().map(Vec::len).sum();
+    whole.nodes.reserve_exact(first_below);
     for cells in levels.iter().rev() {
         let sums = cells.par_iter().with_min_len(FEW);
         let parts: Vec<Part> = sums.map(|cell| sum_cell(cell, surfels, &below)).collect();

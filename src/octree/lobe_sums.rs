@@ -20,10 +20,7 @@ impl LobeSums {
     #[inline(always)]
     pub(super) fn add_disk(&mut self, normal: Vec3, area: f32, (reflected, emitted): (Vec3, Vec3)) {
         let cosine = Sh9::clamped_cosine(normal) * area;
-        add(&mut self.shown, &cosine, behind(1.0, reflected));
-        if emitted != Vec3::ZERO {
-            add(self.emitted_rows(), &cosine, behind(0.0, emitted));
-        }
+        self.add_series(&cosine, 1.0, (reflected, emitted));
     }
 
     /// Add `area` of power `reflected` and `emitted` in all, whose normals are scattered about `normal`; their mean has
@@ -37,9 +34,15 @@ impl LobeSums {
     ) {
         let [band0, band1, band2] = CLAMPED_COSINE;
         let cosine = Sh9::zonal(normal, [band0, band1 * flatness, band2 * flatness.powi(3)]);
-        add(&mut self.shown, &cosine, behind(area, reflected));
+        self.add_series(&cosine, area, (reflected, emitted));
+    }
+
+    /// Add `series` times each of these.
+    #[inline(always)]
+    fn add_series(&mut self, series: &Sh9, area: f32, (reflected, emitted): (Vec3, Vec3)) {
+        add(&mut self.shown, series, behind(area, reflected));
         if emitted != Vec3::ZERO {
-            add(self.emitted_rows(), &cosine, behind(0.0, emitted));
+            add(self.emitted_rows(), series, behind(0.0, emitted));
         }
     }
 

@@ -196,8 +196,10 @@ impl Ladder<'_> {
         diagnostics: &Diagnostics,
     ) -> Result<Vec<Judged>, Error> {
         let mut all = Vec::new();
+        let patterns = witness.patterns(baked, diagnostics)?;
+        let cloud = (baked, &patterns[..]);
         for radii in NEAR_RADII {
-            let judged = witness.judge(baked, radii, diagnostics)?;
+            let judged = witness.judge(cloud, radii, diagnostics)?;
             let is_enough = self.worst(&judged.errors) <= 1.0;
             all.push(judged);
             if is_enough || !self.job.bounces.is_at_most_once() {
@@ -205,7 +207,7 @@ impl Ladder<'_> {
             }
         }
         if !self.is_fixed() {
-            all.extend(witness.all_anew(baked, diagnostics)?);
+            all.extend(witness.all_anew(cloud, diagnostics)?);
         }
         Ok(all)
     }

@@ -52,7 +52,7 @@ const DOUBT: f64 = 0.5;
 const COLORS: f64 = 3.0;
 
 /// Values of each carrier, in order.
-type Values = Vec<Vec<f64>>;
+pub(super) type Values = Vec<Vec<f64>>;
 
 /// What a few receivers see, lit anew.
 pub(super) struct Witness<'a> {
@@ -66,8 +66,6 @@ pub(super) struct Witness<'a> {
     rays: f64,
     /// Mean magnitude of what each AOV of the run is judged as.
     means: Vec<f64>,
-    /// Two sets with no hit lit anew, by the cloud judged last.
-    patterns: Vec<Values>,
     /// Two sets with all hits lit anew, once asked for: the same for all clouds.
     at_hits: Vec<Values>,
 }
@@ -86,16 +84,25 @@ impl<'a> Witness<'a> {
                 .clamp(RAYS.0, RAYS.1)
                 .round(),
             means: Vec::new(),
-            patterns: Vec::new(),
             at_hits: Vec::new(),
         }
     }
 
-    /// What the surfels of `baked` leave in each of the run's AOVs where hits nearer than `near_radii` of theirs are lit
-    /// anew.
+    /// Two sets that light no hit anew, and so differ by the pattern of rays alone.
+    pub(super) fn patterns(
+        &self,
+        baked: &Baked,
+        diagnostics: &Diagnostics,
+    ) -> Result<Vec<Values>, Error> {
+        let unlit = read_surfels(baked, self.ladder.world, (Bounces::Count(1), 0.0));
+        self.two_sets(&unlit, diagnostics)
+    }
+
+    /// What the surfels of `baked`, with these [`Self::patterns`], leave in each of the run's AOVs where hits nearer than
+    /// `near_radii` of theirs are lit anew.
     pub(super) fn judge(
         &mut self,
-        baked: &Baked,
+        (baked, patterns): (&Baked, &[Values]),
         near_radii: f32,
         diagnostics: &Diagnostics,
     ) -> Result<Judged, Error> {
@@ -104,14 +111,12 @@ impl<'a> Witness<'a> {
             self.measure_means(&by_surfels, diagnostics)?;
         }
         let reads = self.two_sets(&by_surfels, diagnostics)?;
-        let unlit = read_surfels(baked, self.ladder.world, (Bounces::Count(1), 0.0));
-        self.patterns = self.two_sets(&unlit, diagnostics)?;
         let relit_share = self.relit_share(&by_surfels);
         let unjudged = Judged {
             errors: Vec::new(),
             sure: Vec::new(),
             relit: Relit::Near(near_radii),
-            noise: self.noise(&reads),
+            noise: self.noise([&reads, patterns]),
             relit_share,
         };
         let worth = JUDGING * self.ladder.rays_of_run(&unjudged);
@@ -178,7 +183,7 @@ impl<'a> Witness<'a> {
     /// Surfels leave no error where none is read. `None` where a few rays can't light a hit.
     pub(super) fn all_anew(
         &mut self,
-        baked: &Baked,
+        (baked, patterns): (&Baked, &[Values]),
         diagnostics: &Diagnostics,
     ) -> Result<Option<Judged>, Error> {
         let world = self.ladder.world;
@@ -194,7 +199,7 @@ impl<'a> Witness<'a> {
             errors: Vec::new(),
             sure: Vec::new(),
             relit: Relit::All,
-            noise: self.noise(&self.at_hits),
+            noise: self.noise([&self.at_hits, patterns]),
             relit_share,
         }))
     }
@@ -231,9 +236,9 @@ impl<'a> Witness<'a> {
         self.carriers.iter().position(is_told)
     }
 
-    /// What rays leave in each of the run's AOVs that bind it: the first two of `sets` differ by all of it, those that find no
-    /// light anew by the pattern's alone.
-    fn noise(&self, sets: &[Values]) -> Vec<Noise> {
+    /// What rays leave in each of the run's AOVs that bind it: of two kinds of sets the first two of one differ by all of it, those
+    /// of the other by the pattern's part.
+    fn noise(&self, kinds: [&[Values]; 2]) -> Vec<Noise> {
         let square = |sets: &[Values], c: usize, mean: f64| match sets {
             [a, b, ..] => {
                 let noise = relative(rms_difference(&a[c], &b[c]), mean) / SQRT_2;
@@ -245,7 +250,7 @@ impl<'a> Witness<'a> {
         let bound = aovs.take(self.ladder.bound);
         let noise = |(&aov, &mean): (&Aov, &f64)| {
             let c = self.carrier_index(aov)?;
-            let [all, pattern] = [sets, &self.patterns].map(|sets| square(sets, c, mean));
+            let [all, pattern] = kinds.map(|sets| square(sets, c, mean));
             Some(Noise::of((all, pattern), self.rays))
         };
         bound.filter_map(noise).collect()

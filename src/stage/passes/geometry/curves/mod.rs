@@ -222,9 +222,12 @@ impl<'a> Curves<'a> {
             let pieces = |segment| self.pieces(curve, segment, depth);
             plan.pieces.extend((0..curve.segments).map(pieces));
             let all: usize = plan.pieces[first..].iter().map(|&n| usize::from(n)).sum();
-            let is_flat = self.body.normals.is_some();
-            plan.triangles += 2 * all * if is_flat { 1 } else { sides };
-            plan.vertices += (all + 1) * if is_flat { 2 } else { sides };
+            let (quads, corners) = match self.body.normals {
+                Some(_) => (1, 2),
+                None => (sides, sides),
+            };
+            plan.triangles += 2 * all * quads;
+            plan.vertices += (all + 1) * corners;
             plan.sides.push(sides);
             plan.ends.push(plan.pieces.len());
         }
