@@ -9,7 +9,7 @@ use scenes::{
     SceneBuilder, Side, ball_in_a_box, bowl, floor_under_a_roof, plate, polygon_irradiance,
     receivers_in,
 };
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::f32::consts::PI;
 use surflux::bake::{BakeSettings, Baked, bake};
 use surflux::diagnostics::Diagnostics;
@@ -17,7 +17,7 @@ use surflux::gather::rays::lobe::Lobes;
 use surflux::gather::{
     DicedSurfels, Engine, GatherScene, RadianceSource, RaysEngine, RaysSettings, gather,
 };
-use surflux::interpolate::{self, Fewer, Gathering, InterpolateSettings, Interpolated};
+use surflux::interpolate::{self, Fewer, Gathering, InterpolateSettings, Interpolated, Judge};
 use surflux::lighting::{LightSamples, Lighting};
 use surflux::receivers::Receivers;
 use surflux::results::{Aov, Results};
@@ -66,7 +66,8 @@ struct Run<'a> {
     tracer: &'a Tracer,
     engine: &'a RaysEngine<'a>,
     again: Option<&'a RaysEngine<'a>>,
-    fewer: Option<(&'a RaysEngine<'a>, f64)>,
+    /// Two engines of fewer rays, and what these err by.
+    fewer: Option<([&'a RaysEngine<'a>; 2], f64)>,
     receivers: &'a Receivers,
     aovs: &'a [Aov],
 }
@@ -91,6 +92,10 @@ impl Run<'_> {
         tolerance: f64,
         accepts: &dyn Fn(&Results) -> bool,
     ) -> Interpolated {
+        self.judged(refusals, tolerance, &accepts)
+    }
+
+    fn judged(&self, refusals: u32, tolerance: f64, judge: &dyn Judge) -> Interpolated {
         let diagnostics = Diagnostics::default();
         let shader = Shader::new(self.scene, &diagnostics);
         let lighting = Lighting::new(&shader, LightSamples::default(), &diagnostics);
@@ -98,7 +103,11 @@ impl Run<'_> {
         let gathering = Gathering {
             again: self.again.map(|again| again as &dyn Engine),
             thin: None,
-            fewer: (self.fewer).map(|(engine, errors)| Fewer { engine, errors }),
+            fewer: (self.fewer).map(|([engine, again], errors)| Fewer {
+                engine,
+                again,
+                errors,
+            }),
             scene: self.scene(&shader, &lighting),
             engine: self.engine,
             receivers: self.receivers,
@@ -109,7 +118,7 @@ impl Run<'_> {
             tolerance,
             refusals,
         };
-        interpolate::gather(gathering, settings, accepts, &diagnostics).expect("not cancelled")
+        interpolate::gather(gathering, settings, judge, &diagnostics).expect("not cancelled")
     }
 
     fn scene<'s>(&'s self, shader: &'s Shader<'s>, lighting: &'s Lighting) -> GatherScene<'s> {
@@ -305,21 +314,22 @@ fn what_is_refused_is_first_looked_at_again() {
     });
 }
 
-/// On a floor below a square roof: fewer rays see where neighbors even out what these err by. Where that is refused all of them
-/// see too, and the mean is closer than what all of them alone come to.
+/// On a floor below a square roof: fewer rays see where neighbors even out what these err by. Where that is refused as many
+/// others see too, and the mean is closer than what all of them alone come to.
 #[test]
-fn fewer_rays_see_first_and_all_of_them_where_that_is_refused() {
+fn fewer_rays_see_first_and_others_where_that_is_refused() {
     let (scene, floor, corners) = floor_under_a_roof(96);
     let tracer = Tracer::new(&scene);
     let receivers = receivers_in(&scene, floor, 1);
     let (all, few) = (rays(256, 0.0), rays(160, 0.0).otherwise());
-    let [usual, fewer] = [all, few].map(|settings| RaysEngine::new(&tracer, None, settings));
+    let [usual, first, second] =
+        [all, few, few.again()].map(|settings| RaysEngine::new(&tracer, None, settings));
     let run = Run {
         scene: &scene,
         tracer: &tracer,
         engine: &usual,
         again: None,
-        fewer: Some((&fewer, 1.42)),
+        fewer: Some(([&first, &second], 1.42)),
         receivers: &receivers,
         aovs: &[Aov::Visibility],
     };
@@ -346,6 +356,55 @@ fn fewer_rays_see_first_and_all_of_them_where_that_is_refused() {
     );
 }
 
+/// Refuses what it sees first at its few receivers, and keeps what it sees there last.
+#[derive(Default)]
+struct Picky {
+    /// How often it saw all, and a few.
+    asked: Cell<[u32; 2]>,
+    last: RefCell<Results>,
+}
+
+impl Judge for Picky {
+    fn accepts(&self, results: &Results) -> bool {
+        assert!(results.get(Aov::Visibility).is_some() || results.get(Aov::Occlusion).is_some());
+        let [all, few] = self.asked.get();
+        self.asked.set([all + 1, few]);
+        true
+    }
+
+    fn picks(&self) -> &[usize] {
+        &[7, 1000, 3]
+    }
+
+    fn accepts_at_picks(&self, few: &Results) -> bool {
+        let [all, asked] = self.asked.get();
+        self.asked.set([all, asked + 1]);
+        self.last.replace(few.clone());
+        asked > 0
+    }
+}
+
+/// Before what follows from blended values is found everywhere it is at the few receivers that a judge looks at.
+#[test]
+fn a_judge_sees_few_receivers_first() {
+    let (scene, floor, _) = floor_under_a_roof(96);
+    let tracer = Tracer::new(&scene);
+    let run = Run {
+        scene: &scene,
+        tracer: &tracer,
+        engine: &RaysEngine::new(&tracer, None, rays(128, 0.0)),
+        again: None,
+        fewer: None,
+        receivers: &receivers_in(&scene, floor, 1),
+        aovs: &[Aov::Occlusion, Aov::DiffuseAlbedo],
+    };
+    let judge = Picky::default();
+    let found = run.judged(0, 0.02, &judge);
+    // What is blended twice, all that is asked for once.
+    assert!(judge.asked.get() == [3, 2] && found.refusals == 1);
+    assert!(found.results.subset(judge.picks()) == judge.last.take());
+}
+
 /// Receivers so far apart that none speaks for its neighbors: what fewer rays err by would be seen.
 #[test]
 fn fewer_rays_do_not_see_where_little_is_smooth() {
@@ -353,7 +412,7 @@ fn fewer_rays_do_not_see_where_little_is_smooth() {
         let alone = run.interpolated(0.02, &|_| true);
         let again = run.again.expect("a box's walls are looked at again");
         let found = Run {
-            fewer: Some((again, 1.4)),
+            fewer: Some(([again, again], 1.4)),
             ..run
         }
         .interpolated(0.02, &|_| true);

@@ -3,6 +3,7 @@
 use super::{Gathering, Work};
 use crate::diagnostics::Cancelled;
 use crate::gather::{self, KnownEngine};
+use crate::receivers::Receivers;
 use crate::results::{Aov, AovBuffer, Results};
 use glam::Vec3;
 use std::borrow::Cow;
@@ -15,16 +16,18 @@ impl Work<'_> {
         found
     }
 
-    /// The AOVs asked for, from `values` of the base at all receivers.
-    pub(super) fn assemble(&self, values: &[f32]) -> Result<Results, Cancelled> {
+    /// The AOVs asked for at `receivers`, from what was `found` of the base there.
+    pub(super) fn assemble(
+        &self,
+        mut found: Results,
+        receivers: &Receivers,
+    ) -> Result<Results, Cancelled> {
         let Gathering {
             scene,
             engine,
-            receivers,
             aovs,
             ..
         } = self.gathering;
-        let mut found = self.blended(values);
         let visibility = found.get(Aov::Visibility);
         let occlusion: Option<Vec<f32>> =
             visibility.map(|open| open.data.iter().map(|open| 1.0 - open).collect());

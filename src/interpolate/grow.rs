@@ -35,6 +35,8 @@ pub(super) struct Field {
     pub(super) checked: usize,
     /// What seeds see when they look once, if they have looked more often: of the first so many.
     pub(super) before: Option<Vec<f32>>,
+    /// For the first so many seeds fewer saw, twice.
+    pub(super) by_fewer: usize,
 }
 
 /// How much a cell may differ from its neighbors and still be smooth.
@@ -110,6 +112,7 @@ impl Work<'_> {
             scales,
             checked: 0,
             before: None,
+            by_fewer: 0,
         })
     }
 

@@ -12,7 +12,7 @@
 //! where that is refused (`thin`).
 //!
 //! Where most of the largest cells are smooth, fewer rays see at first: evening leaves less of what these err by. Where that is
-//! refused, seeds see all that they may beside it (`steps`).
+//! refused, as many others see beside them (`steps`).
 //!
 //! In a Cornell box with two balls, 512² pixels, rays for 2 %, 21 133 of 240 795 receivers are gathered at with 313 rays, in 0.23
 //! of the time of 490 rays at all, and are 1.55 % off.
@@ -68,6 +68,19 @@ pub struct Interpolated {
     pub refusals: u32,
 }
 
+impl Interpolated {
+    /// What was gathered at all of so many receivers, since nothing can be blended.
+    fn everywhere(results: Results, gathered: usize) -> Self {
+        Self {
+            results,
+            gathered,
+            is_refused: false,
+            is_by_fewer: false,
+            refusals: 0,
+        }
+    }
+}
+
 /// What [`gather()`] works with.
 #[derive(Debug, Clone, Copy)]
 pub struct Gathering<'a> {
@@ -89,11 +102,36 @@ pub struct Gathering<'a> {
     pub aovs: &'a [Aov],
 }
 
+/// Who says whether results are good enough.
+pub trait Judge {
+    /// True if these are, at all receivers: asked of what is blended, then of all.
+    fn accepts(&self, results: &Results) -> bool;
+
+    /// Receivers that count.
+    fn picks(&self) -> &[usize] {
+        &[]
+    }
+
+    /// The same of results at [`picks`](Self::picks) alone, if there are any: asked before light is sampled at all.
+    fn accepts_at_picks(&self, few: &Results) -> bool {
+        let _ = few;
+        true
+    }
+}
+
+impl<F: Fn(&Results) -> bool> Judge for F {
+    fn accepts(&self, results: &Results) -> bool {
+        self(results)
+    }
+}
+
 /// An engine that errs more than another.
 #[derive(Debug, Clone, Copy)]
 pub struct Fewer<'a> {
-    /// Of another pattern than the engine that it stands in for: the mean of both is closer than each.
+    /// Sees first.
     pub engine: &'a dyn Engine,
+    /// Sees too where that is refused, by another pattern: the mean of both is about as close as the engine that they stand in for.
+    pub again: &'a dyn Engine,
     /// What it errs by, over what the other does: more than 1.
     pub errors: f64,
 }
@@ -126,10 +164,9 @@ pub fn pays(receivers: &Receivers, aovs: &[Aov]) -> bool {
 /// Fewer receivers are not worth it: their cells are coarser than what they show.
 const FEWEST: usize = 4096;
 
-/// Like [`gather::gather`], but not at every receiver, where that [`pays`]. Where `accepts` refuses results, seeds for which
-/// [`fewer`](Gathering::fewer) rays saw see with all, and those with [`thin`](Gathering::thin) rays look twice; then cells are
-/// made smoother, seeds look [`again`](Gathering::again), and in the end every receiver is gathered at with all rays. It is asked
-/// first with what is blended, then with all.
+/// Like [`gather::gather`], but not at every receiver, where that [`pays`]. Where the `judge` refuses results, seeds for which
+/// [`fewer`](Gathering::fewer) rays saw look twice, as do those with [`thin`](Gathering::thin) rays; then cells are made smoother,
+/// seeds look [`again`](Gathering::again), and in the end every receiver is gathered at with all rays.
 /// The same bits for any number of threads.
 ///
 /// # Errors
@@ -137,7 +174,7 @@ const FEWEST: usize = 4096;
 pub fn gather(
     gathering: Gathering<'_>,
     settings: InterpolateSettings,
-    accepts: &dyn Fn(&Results) -> bool,
+    judge: &dyn Judge,
     diagnostics: &Diagnostics,
 ) -> Result<Interpolated, Cancelled> {
     let Gathering {
@@ -150,13 +187,7 @@ pub fn gather(
     let base = base::of(scene, aovs);
     if base.is_empty() || !pays(receivers, aovs) {
         let results = gather::gather(scene, engine, receivers, aovs, diagnostics)?;
-        return Ok(Interpolated {
-            results,
-            gathered: receivers.len(),
-            is_refused: false,
-            is_by_fewer: false,
-            refusals: 0,
-        });
+        return Ok(Interpolated::everywhere(results, receivers.len()));
     }
     let mut work = Work {
         gathering,
@@ -185,9 +216,12 @@ pub fn gather(
         }
         let is_last = step == Step::Everywhere;
         let is_all_seen = told.blended.is_empty() && work.sees_fully(&field);
-        let is_asked = refusals >= settings.refusals;
-        let is_done = |results: &Results| is_last || is_all_seen || is_asked && accepts(results);
-        if let Some(results) = work.results(&told, &is_done)? {
+        let is_done = is_last || is_all_seen;
+        let results = match is_done || refusals >= settings.refusals {
+            true => work.results(&told, (!is_done).then_some(judge))?,
+            false => None,
+        };
+        if let Some(results) = results {
             return Ok(Interpolated {
                 results,
                 gathered: field.seeds.len() + field.alone.len() + field.checked,
@@ -236,18 +270,30 @@ impl Work<'_> {
         !self.sight.is_fewer() && field.alone.len() == 0
     }
 
-    /// What was `told` as results, if these are done: what is blended, and then all that follows from it, for which light is sampled
-    /// anew.
+    /// What was `told` as results, if the `judge` accepts these, or if there is none: what is blended, then what follows from it at
+    /// a few receivers, and then at all, for which light is sampled anew.
     fn results(
         &self,
         told: &Told,
-        is_done: &dyn Fn(&Results) -> bool,
+        judge: Option<&dyn Judge>,
     ) -> Result<Option<Results>, Cancelled> {
-        if !is_done(&self.blended(&told.values)) {
+        let receivers = self.gathering.receivers;
+        let blended = self.blended(&told.values);
+        let Some(judge) = judge else {
+            return self.assemble(blended, receivers).map(Some);
+        };
+        if !judge.accepts(&blended) {
             return Ok(None);
         }
-        let results = self.assemble(&told.values)?;
-        Ok(is_done(&results).then_some(results))
+        let picks = judge.picks();
+        if !picks.is_empty() {
+            let few = self.assemble(blended.subset(picks), &receivers.subset(picks))?;
+            if !judge.accepts_at_picks(&few) {
+                return Ok(None);
+            }
+        }
+        let results = self.assemble(blended, receivers)?;
+        Ok(judge.accepts(&results).then_some(results))
     }
 
     /// What seeds and blends may be off by where rays err by the tolerance and all is well: more, where these err more.

@@ -1,7 +1,7 @@
 //! What an error of 1 in a base AOV is an error of, in what was asked for.
 
+use super::Work;
 use super::seeds::Seeds;
-use super::{Gathering, Work};
 use crate::diagnostics::Cancelled;
 use crate::gather::estimate::spread;
 use crate::results::{Aov, AovBuffer, Results};
@@ -34,19 +34,14 @@ impl Work<'_> {
             .iter()
             .map(|&seed| seeds.receiver[seed] as usize)
             .collect();
-        let few = Work {
-            gathering: Gathering {
-                receivers: &self.gathering.receivers.subset(&few),
-                ..self.gathering
-            },
-            ..*self
-        };
+        let few = self.gathering.receivers.subset(&few);
+        let assemble = |values: &[f32]| self.assemble(self.blended(values), &few);
         let n = seeds.components;
         let values: Vec<f32> = (picks.iter())
             .flat_map(|&seed| &seeds.values[seed * n..][..n])
             .copied()
             .collect();
-        let whole = few.assemble(&values)?;
+        let whole = assemble(&values)?;
         let mut start = 0;
         let mut share = |&aov: &Aov| {
             let range = start..start + aov.components();
@@ -59,7 +54,7 @@ impl Work<'_> {
             for values in without.chunks_exact_mut(n) {
                 values[range.clone()].fill(0.0);
             }
-            let without = few.assemble(&without)?;
+            let without = assemble(&without)?;
             Ok(largest_part(&whole, &without))
         };
         self.base.iter().map(&mut share).collect()

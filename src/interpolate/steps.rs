@@ -1,7 +1,7 @@
 //! What is done, one step after the other, until results are good enough.
 
 use super::grow::{Field, Strictness};
-use super::seeds::Seeds;
+
 use super::{Gathering, Kind, Work};
 use crate::diagnostics::Cancelled;
 use crate::gather::Engine;
@@ -9,8 +9,8 @@ use crate::gather::Engine;
 /// What is done next with results that are not good enough.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Step {
-    /// Gather at the seeds with all that was held back.
-    Fully,
+    /// Gather at the seeds once more with those who saw first.
+    Twice,
     /// Gather once more at those who speak for nobody, in as many other directions.
     AgainAlone,
     /// Cut cells until they are as smooth as this.
@@ -28,13 +28,13 @@ impl Step {
     pub(super) fn strictness(self) -> Option<Strictness> {
         match self {
             Self::Grow(strictness) => Some(strictness),
-            Self::Fully => Some(Strictness::FIRST),
+            Self::Twice => Some(Strictness::FIRST),
             _ => None,
         }
     }
 }
 
-/// In this order, and [`Step::Fully`] and [`Step::AgainAlone`] where results are refused first; values that were gathered are kept.
+/// In this order, and [`Step::Twice`] and [`Step::AgainAlone`] where results are refused first; values that were gathered are kept.
 pub(super) const STEPS: [Step; 5] = [
     Step::Grow(Strictness::FIRST),
     Step::Grow(Strictness::SECOND),
@@ -106,7 +106,7 @@ impl Work<'_> {
     /// What is done about a `fault` of `field` before anything else, if there is something.
     pub(super) fn soonest(&self, field: &Field, fault: &Fault) -> Option<Step> {
         match fault {
-            Fault::Refused if self.sight.is_fewer() => Some(Step::Fully),
+            Fault::Refused if self.sight.is_fewer() => Some(Step::Twice),
             Fault::Refused if field.alone.can_look_again() => Some(Step::AgainAlone),
             _ => None,
         }
@@ -121,8 +121,8 @@ impl Work<'_> {
     ) -> Result<bool, Cancelled> {
         match step {
             Step::Grow(strictness) => self.grow(field, strictness, fault)?,
-            Step::Fully => {
-                self.look_fully(field)?;
+            Step::Twice => {
+                self.look_twice(field)?;
                 self.grow(field, Strictness::FIRST, fault)?;
             }
             Step::AgainAlone => self.look_again_alone(&mut field.alone)?,
@@ -131,6 +131,7 @@ impl Work<'_> {
             Step::Again => return self.look_again(field),
             Step::Everywhere => {
                 field.forget_again();
+                self.look_fully(field)?;
                 let alone = field.alone.take();
                 self.sow(&mut field.seeds, &alone)?;
                 let all = Work {
@@ -172,18 +173,22 @@ impl Work<'_> {
         Ok(true)
     }
 
-    /// Gather at all seeds of `field`, for which fewer saw before.
-    fn look_fully(&mut self, field: &mut Field) -> Result<(), Cancelled> {
-        let fewer = std::mem::replace(&mut self.sight, Sight::full(self.gathering));
-        let seeds = &mut field.seeds;
-        let read = self.read(self.sight.engine, &seeds.receiver)?;
-        // Each by the inverse of its variance.
-        let square = fewer.errors * fewer.errors;
-        #[expect(clippy::cast_possible_truncation, reason = "a part of 1")]
-        seeds.take(&read, (square / (1.0 + square)) as f32);
-        let values = (read.chunks_exact(Seeds::floats(seeds.components)))
-            .flat_map(|read| &read[..seeds.components]);
-        field.before = Some(values.copied().collect());
+    /// Gather at all seeds of `field`, for which fewer saw before, by other fewer ones: those to come see all that they may.
+    fn look_twice(&mut self, field: &mut Field) -> Result<(), Cancelled> {
+        self.sight = Sight::full(self.gathering);
+        if let Some(fewer) = self.gathering.fewer {
+            let read = self.read(fewer.again, &field.seeds.receiver)?;
+            field.seeds.take(&read, 0.5);
+            field.by_fewer = field.seeds.len();
+        }
+        Ok(())
+    }
+
+    /// Gather at all seeds of `field` for which fewer saw, as at all others.
+    fn look_fully(&self, field: &mut Field) -> Result<(), Cancelled> {
+        let by_fewer = std::mem::take(&mut field.by_fewer);
+        let read = self.read(self.sight.engine, &field.seeds.receiver[..by_fewer])?;
+        field.seeds.take(&read, 1.0);
         Ok(())
     }
 }

@@ -3,7 +3,7 @@
 use super::error::{Weighted, relative, values};
 use super::sample::Sample;
 use crate::gather::{ErrorEstimate, Thinning};
-use crate::results::{Aov, AovBuffer, Results};
+use crate::results::{Aov, Results};
 
 /// What the pilot knows about the truth at its receivers.
 #[derive(Debug, Clone)]
@@ -44,7 +44,16 @@ impl Check {
     /// Error of `results`, one estimate an AOV of theirs that the pilot measured. Costs next to nothing: the values are
     /// there.
     pub fn errors(&self, results: &Results) -> Vec<ErrorEstimate> {
-        let few = subset(results, &self.sample.picks);
+        self.errors_at_picks(&results.subset(&self.sample.picks))
+    }
+
+    /// The receivers of the run that it looks at.
+    pub fn picks(&self) -> &[usize] {
+        &self.sample.picks
+    }
+
+    /// The same of results at [`picks`](Self::picks) alone.
+    pub fn errors_at_picks(&self, few: &Results) -> Vec<ErrorEstimate> {
         let weighted = Weighted(&self.sample.weights);
         let squares: Vec<f64> = match self.evened.is_empty() {
             true => self.sample.weights.clone(),
@@ -56,7 +65,7 @@ impl Check {
         // The truth's own error counts as the run's does.
         let truths = of_all(&squares) / of_all(&self.sample.weights).max(f64::MIN_POSITIVE);
         let estimate = |known: &Known| {
-            let run = values(&few, known.aov)?;
+            let run = values(few, known.aov)?;
             let truth = values(&self.truth, known.aov)?;
             let mean = if known.mean > 0.0 {
                 known.mean
@@ -75,26 +84,11 @@ impl Check {
     }
 }
 
-/// The values of the receivers `picks`.
-pub(super) fn subset(results: &Results, picks: &[usize]) -> Results {
-    let few = |buffer: &AovBuffer| {
-        let n = buffer.aov.components();
-        let values = picks.iter().flat_map(|&i| &buffer.data[i * n..][..n]);
-        AovBuffer {
-            aov: buffer.aov,
-            data: values.copied().collect(),
-        }
-    };
-    Results {
-        buffers: results.buffers.iter().map(few).collect(),
-        ..Results::default()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::gather::testing::pixels_of;
+    use crate::results::AovBuffer;
 
     fn one(aov: Aov, data: &[f32]) -> Results {
         Results {

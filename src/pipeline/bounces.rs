@@ -11,7 +11,7 @@ use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::{CloudGather, CloudRays, GatherScene, Pass, RaysSettings};
 use crate::interpolate::{self, Gathering, InterpolateSettings};
 use crate::receivers::Receivers;
-use crate::results::Aov;
+use crate::results::{Aov, Results};
 use crate::surfels::SurfelCloud;
 use glam::Vec3;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -129,7 +129,7 @@ impl CloudGather for BounceLight<'_> {
             tolerance: BOUNCE_TOLERANCE,
             refusals: 0,
         };
-        let found = interpolate::gather(gathering, settings, &|_| true, diagnostics)?;
+        let found = interpolate::gather(gathering, settings, &|_: &Results| true, diagnostics)?;
         if found.gathered as f64 > MOST_SEEN * receivers.len() as f64 {
             self.speak.store(false, Ordering::Relaxed);
         }

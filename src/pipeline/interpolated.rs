@@ -5,11 +5,25 @@ use super::report::Report;
 use super::stand::Stand;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::{GatherScene, RaysEngine, RaysSettings, ThinEngines, Thinning};
-use crate::interpolate::{self, Fewer, Gathering, InterpolateSettings};
+use crate::interpolate::{self, Fewer, Gathering, InterpolateSettings, Judge};
 use crate::pilot::{self, Method};
 use crate::receivers::Receivers;
 use crate::results::{Aov, Results};
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+
+impl Judge for Promise {
+    fn accepts(&self, results: &Results) -> bool {
+        self.is_kept_by(results)
+    }
+
+    fn picks(&self) -> &[usize] {
+        self.check.picks()
+    }
+
+    fn accepts_at_picks(&self, few: &Results) -> bool {
+        self.is_kept_at_picks(few)
+    }
+}
 
 /// Rays, and interpolation between those that they see for; more rays, or rays for all, where that breaks a promise.
 #[derive(Debug)]
@@ -29,9 +43,17 @@ struct Engines<'a> {
     usual: RaysEngine<'a>,
     /// As many rays, of another pattern.
     again: RaysEngine<'a>,
-    /// See [`Gathering::fewer`]; how many they are, and what they err by.
-    fewer: Option<(RaysEngine<'a>, u32, f64)>,
+    fewer: Option<FewerRays<'a>>,
     thin: Option<ThinEngines<'a>>,
+}
+
+/// See [`Gathering::fewer`].
+#[derive(Debug)]
+struct FewerRays<'a> {
+    engines: [RaysEngine<'a>; 2],
+    rays: u32,
+    /// What they err by, over what all do.
+    errors: f64,
 }
 
 /// Fewer rays err by about so many times what all do. One bounce, 512², 5 and 2 %, over the time with all: Cornell box 0.83,
@@ -53,8 +75,11 @@ impl<'a> Engines<'a> {
         Self {
             usual: engine(settings),
             again: engine(settings.again()),
-            fewer: (settings.rays >= MANY && errors > 1.0)
-                .then(|| (engine(fewer), fewer.rays, errors)),
+            fewer: (settings.rays >= MANY && errors > 1.0).then(|| FewerRays {
+                engines: [fewer, fewer.again()].map(engine),
+                rays: fewer.rays,
+                errors,
+            }),
             thin: None,
         }
     }
@@ -123,8 +148,8 @@ impl<'a> InterpolatedMethod<'a> {
     pub(super) fn record(&self, report: &mut Report) {
         report.counts.gathered = self.gathered.load(Ordering::Relaxed);
         let fewer = self.engines.fewer.as_ref();
-        if let Some((_, rays, _)) = fewer.filter(|_| self.is_by_fewer.load(Ordering::Relaxed)) {
-            report.set("gathered_rays", *rays);
+        if let Some(fewer) = fewer.filter(|_| self.is_by_fewer.load(Ordering::Relaxed)) {
+            report.set("gathered_rays", fewer.rays);
         }
         if let Some(thinning) = self.thinning() {
             report.set("thinned_rays", thinning.cost());
@@ -151,20 +176,21 @@ impl Method for InterpolatedMethod<'_> {
             scene,
             engine: usual,
             again: Some(again),
-            fewer: (fewer.as_ref()).map(|(engine, _, errors)| Fewer {
-                engine,
-                errors: *errors,
+            fewer: fewer.as_ref().map(|fewer| Fewer {
+                engine: &fewer.engines[0],
+                again: &fewer.engines[1],
+                errors: fewer.errors,
             }),
             thin: thin.as_ref(),
             receivers,
             kinds: kinds.as_deref(),
             aovs,
         };
-        let is_kept = |results: &Results| {
-            let promise = self.promise.as_ref();
-            promise.is_none_or(|promise| promise.is_kept_by(results))
+        let judge: &dyn Judge = match &self.promise {
+            Some(promise) => promise,
+            None => &|_: &Results| true,
         };
-        let found = interpolate::gather(gathering, self.settings, &is_kept, diagnostics)?;
+        let found = interpolate::gather(gathering, self.settings, judge, diagnostics)?;
         self.gathered.store(found.gathered, Ordering::Relaxed);
         self.is_by_fewer.store(found.is_by_fewer, Ordering::Relaxed);
         self.is_redone.store(found.is_refused, Ordering::Relaxed);

@@ -4,7 +4,7 @@ use super::report::Report;
 use super::stand::Stand;
 use crate::diagnostics::{Cancelled, Diagnostics};
 use crate::gather::maps::{self, MapsPlan, MapsSettings};
-use crate::gather::{self, GatherScene, RaysEngine};
+use crate::gather::{self, ErrorEstimate, GatherScene, RaysEngine};
 use crate::pilot::error::{mean_magnitude, rms_difference, values};
 use crate::pilot::{self, Check, Knobs, Method};
 use crate::receivers::Receivers;
@@ -69,7 +69,15 @@ pub(super) struct Promise {
 impl Promise {
     /// True if `results` of the whole run err no more than the tolerance allows.
     pub(super) fn is_kept_by(&self, results: &Results) -> bool {
-        let errors = self.check.errors(results);
+        self.is_kept_by_errors(&self.check.errors(results))
+    }
+
+    /// The same of results at the receivers of the check alone.
+    pub(super) fn is_kept_at_picks(&self, few: &Results) -> bool {
+        self.is_kept_by_errors(&self.check.errors_at_picks(few))
+    }
+
+    fn is_kept_by_errors(&self, errors: &[ErrorEstimate]) -> bool {
         errors
             .iter()
             .all(|error| error.relative_rmse <= self.tolerance)

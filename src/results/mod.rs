@@ -51,6 +51,26 @@ impl Results {
         self.buffers.iter().find(|buffer| buffer.aov == aov)
     }
 
+    /// The values of the receivers `picked`, in that order, without how they were laid out.
+    ///
+    /// # Panics
+    /// If an index is not one of a receiver.
+    #[must_use]
+    pub fn subset(&self, picked: &[usize]) -> Self {
+        let few = |buffer: &AovBuffer| {
+            let n = buffer.aov.components();
+            let values = picked.iter().flat_map(|&i| &buffer.data[i * n..][..n]);
+            AovBuffer {
+                aov: buffer.aov,
+                data: values.copied().collect(),
+            }
+        };
+        Self {
+            buffers: self.buffers.iter().map(few).collect(),
+            ..Self::default()
+        }
+    }
+
     /// The same buffers in the order of `aovs`.
     #[must_use]
     pub fn in_order_of(mut self, aovs: &[Aov]) -> Self {

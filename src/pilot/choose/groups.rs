@@ -4,7 +4,7 @@ use super::{Bench, Judge};
 use crate::diagnostics::Cancelled;
 use crate::gather::{self, estimate::spread};
 use crate::pilot::error::Weighted;
-use crate::pilot::{Candidate, Method, check};
+use crate::pilot::{Candidate, Method};
 use crate::receivers::Receivers;
 
 /// Groups looked at, each around another one of the pilot's receivers: a thirteenth of the run's receivers; and those that a
@@ -60,8 +60,8 @@ impl Bench<'_, '_, '_> {
             None => Groups::around(self.pilot.receivers, &self.sample.picks, GROUPS),
         };
         let look = self.look(method, &groups.receivers)?;
-        let run = check::subset(&look.results, &groups.places);
-        let reference = check::subset(&judge.reference, &groups.few);
+        let run = look.results.subset(&groups.places);
+        let reference = judge.reference.subset(&groups.few);
         let weights = &self.sample.weights;
         let weights: Vec<f64> = groups.few.iter().map(|&k| weights[k]).collect();
         let errors = self.without_reference((&run, &reference), judge, Weighted(&weights));
